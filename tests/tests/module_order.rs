@@ -1,7 +1,7 @@
-//! Does a module use only those above it? Of core as docs/ARCHITECTURE.md lists them, of the viewer as its own lib.rs does; and
-//! do the viewer's panels know only what they share?
+//! Checks that a module uses only those above it: in core as docs/ARCHITECTURE.md lists them, in the viewer as its lib.rs
+//! does. Checks that the viewer's panels use only what they share, and that no crate has two types of one name.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -170,6 +170,68 @@ fn panels_do_not_know_each_other() {
     let shared: Vec<String> = sentence.split('`').skip(1).step_by(2).map(str::to_owned).collect();
     assert_eq!(acquaintances(&sources, &shared), BTreeSet::new(), "{shared:?}");
     assert!(acquaintances(&sources, &[]).len() > 10, "they do use what they share");
+}
+
+/// The type or trait that a line defines.
+fn type_in(line: &str) -> Option<&str> {
+    let mut words = line.split_whitespace().skip_while(|word| word.starts_with("pub") || word.ends_with(')'));
+    let kind = words.next()?;
+    let name = words.next().filter(|_| matches!(kind, "struct" | "enum" | "trait" | "union"))?;
+    Some(name.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default())
+}
+
+/// The names that several files of a crate define a type by, with those files.
+fn types_defined_twice(files: &[(String, String)]) -> BTreeMap<&str, BTreeSet<&str>> {
+    let mut found = BTreeMap::<_, BTreeSet<_>>::new();
+    for (path, text) in files {
+        let product = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
+        for name in product.lines().filter_map(type_in) {
+            found.entry(name).or_default().insert(path.as_str());
+        }
+    }
+    found.retain(|_, paths| paths.len() > 1);
+    found
+}
+
+/// Paths and texts of the product's files in a crate.
+fn product_files(crate_folder: &Path) -> Vec<(String, String)> {
+    let folder = crate_folder.join("src");
+    let modules = sources(&folder).into_iter().map(|source| source.module.join("/"));
+    let file = |module: String| {
+        let candidates =
+            [format!("{module}.rs"), format!("{module}/mod.rs"), "lib.rs".into(), "main.rs".into()];
+        let path = candidates.iter().map(|name| folder.join(name)).find(|path| path.exists());
+        let text = read(&path.expect("the module has a file"));
+        (module, text)
+    };
+    modules
+        .map(file)
+        .filter(|(module, _)| !IS_TEST.contains(&module.rsplit('/').next().unwrap_or_default()))
+        .collect()
+}
+
+/// Modules that exist only in tests.
+const IS_TEST: [&str; 3] = ["pair", "vectors", "whole_marches"];
+/// Paths that begin like this may still define a type twice.
+const EXEMPT: [&str; 1] = ["codec/"];
+
+#[test]
+fn a_crate_defines_no_type_twice() {
+    for entry in fs::read_dir(root().join("crates")).expect("crates") {
+        let folder = entry.expect("a crate").path();
+        let mut files = product_files(&folder);
+        assert!(!files.is_empty(), "{}", folder.display());
+        if folder.ends_with("core") {
+            files.retain(|(path, _)| !EXEMPT.iter().any(|exempt| path.starts_with(exempt)));
+        }
+        assert_eq!(types_defined_twice(&files), BTreeMap::new(), "{}", folder.display());
+        // The control: copies of the files define all of their types twice.
+        let copies: Vec<_> = files.iter().map(|(path, text)| (format!("{path}2"), text.clone())).collect();
+        files.extend(copies);
+        assert!(!types_defined_twice(&files).is_empty(), "{}", folder.display());
+    }
+    let types = "struct A;\npub(crate) enum B {\n    pub trait C<T> {\npub(in crate::x) struct D(u8);\n// struct E;\nfn f() {}";
+    assert_eq!(types.lines().filter_map(type_in).collect::<Vec<_>>(), ["A", "B", "C", "D"]);
 }
 
 #[test]

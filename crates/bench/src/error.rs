@@ -1,4 +1,4 @@
-//! What can go wrong while measuring.
+//! Errors of measurements.
 
 use std::path::Path;
 
@@ -11,10 +11,10 @@ use isinglass_gpu::GpuError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BenchError {
-    /// A volume or a transfer function cannot be had.
+    /// A volume or transfer function is not available.
     #[error("{0}")]
     Format(FormatError),
-    /// The GPU did not do it.
+    /// The GPU failed.
     #[error("{0}")]
     Gpu(GpuError),
     /// A frame cannot be encoded or decoded.
@@ -23,12 +23,12 @@ pub enum BenchError {
     /// Pictures cannot be compared.
     #[error("{0}")]
     Compare(ImageErrorError),
-    /// A scene that is none.
+    /// The scene does not exist.
     #[error("unknown scene {found:?}, expected one of {expected}")]
     UnknownScene {
-        /// What was asked for.
+        /// The requested name.
         found: String,
-        /// What there is.
+        /// The existing names.
         expected: String,
     },
     /// Nothing is left to measure.
@@ -39,15 +39,15 @@ pub enum BenchError {
     Io {
         /// The file.
         path: String,
-        /// What the system said.
+        /// The system's message.
         cause: std::io::Error,
     },
     /// A picture cannot be read or written.
     #[error("{path}: {cause}")]
     Picture {
-        /// The file, or what the picture is.
+        /// The file, or a description of the picture.
         path: String,
-        /// What is wrong.
+        /// The problem.
         cause: String,
     },
     /// The demonstration could not be played.
@@ -56,7 +56,7 @@ pub enum BenchError {
 }
 
 impl BenchError {
-    /// Whether something was asked for that there is not.
+    /// Whether the request names something that does not exist.
     pub fn is_usage(&self) -> bool {
         matches!(self, Self::UnknownScene { .. })
     }

@@ -14,12 +14,12 @@ use crate::progress::note;
 use crate::scenes::SceneSource;
 use crate::subject::{Failures, Subject, SubjectConditions, each_scene};
 
-/// What is played.
+/// A method to play.
 #[derive(Clone, Debug, Default)]
 pub struct Contender {
-    /// A laboratory's way in place of the product's.
+    /// A laboratory's method in place of the product's.
     pub rival: Option<Rival>,
-    /// Whether prediction is switched off: then frames are asked for from where the camera is.
+    /// Whether prediction is off, so that frames are requested for the present camera.
     pub never_predicts: bool,
 }
 
@@ -35,36 +35,36 @@ impl fmt::Display for Contender {
 pub struct LatencyOptions {
     /// The scenes, see [`crate::scenes::select`].
     pub scenes: Vec<SceneSource>,
-    /// What is played, one after the other.
+    /// The methods, one after the other.
     pub contenders: Vec<Contender>,
     /// Speeds of the camera.
     pub degrees_per_second: Vec<f32>,
     /// Round-trip times.
     pub rtts: Vec<Duration>,
-    /// A folder for what each run writes; none: nothing is written.
+    /// A folder for the results of each run; `None` writes nothing.
     pub out: Option<PathBuf>,
-    /// Everything else. What the lists above name is replaced.
+    /// Everything else; the lists above replace their fields.
     pub demo: DemoOptions,
 }
 
 /// The whole result.
 #[derive(Clone, Debug, Serialize)]
 pub struct LatencyReport {
-    /// What holds for all rows.
+    /// The conditions of all rows.
     pub conditions: LatencyConditions,
     /// One for each scene, method, speed and round-trip time.
     pub rows: Vec<LatencyRow>,
 }
 
-/// What holds for all rows.
+/// The conditions of all rows.
 #[derive(Clone, Debug, Serialize)]
 pub struct LatencyConditions {
-    /// What holds for any table of pictures; there are no turns here.
+    /// The conditions of any table of pictures; there are no turns here.
     #[serde(flatten)]
     pub subject: SubjectConditions,
-    /// Where the kernels of server and viewer ran, as it was asked for.
+    /// The requested backend of server and viewer.
     pub backend: String,
-    /// Pictures shown in a second.
+    /// Displayed pictures per second.
     pub refresh_hz: f32,
 }
 
@@ -73,7 +73,7 @@ pub struct LatencyConditions {
 pub struct LatencyRow {
     /// Name of the scene.
     pub scene: String,
-    /// What was played, and the figures of the run.
+    /// The method, and the figures of the run.
     #[serde(flatten)]
     pub report: Report,
 }
@@ -109,7 +109,7 @@ pub fn run(options: &LatencyOptions) -> Result<LatencyReport, BenchError> {
     Ok(LatencyReport { conditions, rows })
 }
 
-/// What is looked at.
+/// The subject of the table.
 fn subject_of(options: &LatencyOptions) -> Subject {
     let demo = &options.demo;
     Subject {

@@ -1,8 +1,8 @@
-//! Camera paths recorded from the viewer's window, to measure on what a hand does.
+//! Camera paths recorded from the viewer's window, for measurements with realistic hands.
 
 use isinglass_client::{CameraPath, CameraPathError};
 
-/// A path by its name; none if there is none of that name.
+/// A path by its name, if it exists.
 pub fn builtin(name: &str) -> Option<Result<CameraPath, CameraPathError>> {
     PATHS.iter().find(|(known, _)| *known == name).map(|(_, text)| CameraPath::parse(text))
 }
@@ -12,7 +12,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     PATHS.iter().map(|(name, _)| *name)
 }
 
-/// What moved the mouse was a program: strokes of minimum jerk, bowed, with a pixel's tremor, at 50 events a second.
+/// A program moved the mouse: bowed strokes of minimum jerk, with a pixel's tremor, at 50 events a second.
 const PATHS: [(&str, &str); 3] = [
     // One slow drag with stops in it.
     ("stops", include_str!("../paths/stops.path")),

@@ -1,22 +1,22 @@
-//! Progress on standard error: a bar on a terminal, elsewhere a line now and then.
+//! Progress on standard error: a bar on a terminal, or else a line from time to time.
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// A task of a known number of steps.
+/// A task with a known number of steps.
 pub struct Progress {
     what: String,
     bar: ProgressBar,
     num_steps: u64,
     done: u64,
-    /// When the last line was written; none on a terminal.
+    /// Time of the last line; `None` on a terminal.
     last_line: Option<Instant>,
 }
 
 impl Progress {
-    /// A task of `num_steps` steps, of which none is done.
+    /// A task of `num_steps` steps.
     pub fn new(what: impl Into<String>, num_steps: u64) -> Self {
         let what = what.into();
         let is_terminal = std::io::stderr().is_terminal();
@@ -26,12 +26,12 @@ impl Progress {
             bar.set_style(style.progress_chars("=> "));
         }
         bar.set_prefix(what.clone());
-        // Drawn at once, and alive during long steps.
+        // The bar appears at once and moves during long steps.
         bar.enable_steady_tick(TICK);
         Self { what, bar, num_steps, done: 0, last_line: (!is_terminal).then(Instant::now) }
     }
 
-    /// What comes next, told at once also where there is no terminal.
+    /// Names the next step, at once even without a terminal.
     pub fn begin(&mut self, now: &str) {
         self.bar.set_message(now.to_owned());
         if let Some(last) = &mut self.last_line {
@@ -40,7 +40,7 @@ impl Progress {
         }
     }
 
-    /// `num_steps` more are done; `now` is what comes next.
+    /// `num_steps` more are done; `now` is the next.
     pub fn advance(&mut self, num_steps: u64, now: &str) {
         self.done = (self.done + num_steps).min(self.num_steps);
         self.bar.set_message(now.to_owned());
@@ -53,17 +53,17 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(self) {
         self.bar.finish_and_clear();
     }
 }
 
-/// A line on standard error. Nobody may be listening, which is no reason to fail.
+/// Writes a line to standard error. A closed stream is no reason to fail.
 pub fn note(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
 const TICK: Duration = Duration::from_millis(200);
-/// Seldom enough for a log file, often enough to see life.
+/// Rare enough for a log file, and often enough to show life.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);

@@ -1,4 +1,4 @@
-//! What is measured: the built-in volumes and six scanned or simulated ones.
+//! The measured scenes: the built-in volumes and six scanned or simulated ones.
 
 use std::path::{Path, PathBuf};
 
@@ -16,28 +16,28 @@ pub struct SceneSource {
 }
 
 impl SceneSource {
-    /// All of `source`, which is what [`isinglass_formats::open`] opens.
+    /// All of `source`, as [`isinglass_formats::open`] takes it.
     pub fn new(name: impl Into<String>, source: impl Into<String>) -> Self {
         Self { name: name.into(), volume: VolumeSource::new(source) }
     }
 
-    /// Reads what the file says of itself, so that what cannot be opened is refused before anything is measured.
+    /// Reads the header, so that an unreadable file is rejected before any measurement.
     pub fn check(&self) -> Result<(), FormatError> {
         outline(&self.volume.source, &self.volume.options()).map(|_| ())
     }
 }
 
-/// Which scenes there are to measure, and which of those asked for are not here.
+/// The scenes to measure, and the missing ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Selection {
-    /// To measure.
+    /// The scenes to measure.
     pub scenes: Vec<SceneSource>,
-    /// One sentence for each that is left out.
+    /// One sentence per scene that is left out.
     pub skipped: Vec<String>,
 }
 
-/// The scenes called `names`, each once; all if there are no names, but for scanned volumes that are not here. A name is
-/// one of [`names`], or a volume as on the command line (`builtin:cloud@64` or a path). Scanned volumes come from `folder`.
+/// Selects the scenes called `names_asked`, each once, or all that are available. A name is one of [`names`], or a
+/// volume as on the command line (`builtin:cloud@64` or a path). Scanned volumes come from `folder`.
 pub fn select(names_asked: &[String], folder: Option<&Path>) -> Result<Selection, BenchError> {
     let mut selection = Selection::default();
     let all: Vec<String> = names().map(str::to_owned).collect();
@@ -72,7 +72,7 @@ pub fn select(names_asked: &[String], folder: Option<&Path>) -> Result<Selection
     Ok(selection)
 }
 
-/// Every item once, where it comes first.
+/// Keeps the first of equal items.
 pub fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
     let mut all = Vec::new();
     for item in items {
@@ -88,8 +88,8 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     BUILTINS.into_iter().chain(FILES)
 }
 
-/// The folder of scanned volumes: the one that [`DATA_VARIABLE`] names, or `shared/data` beside the current folder or
-/// one of those above it.
+/// The folder of scanned volumes: that in [`DATA_VARIABLE`], or `shared/data` beside the current folder or one above
+/// it.
 pub fn data_folder() -> Option<PathBuf> {
     if let Some(named) = std::env::var_os(DATA_VARIABLE) {
         return Some(named.into());
@@ -98,7 +98,7 @@ pub fn data_folder() -> Option<PathBuf> {
     here.ancestors().map(|folder| folder.join("shared/data")).find(|folder| folder.is_dir())
 }
 
-/// Names the folder of scanned volumes.
+/// The environment variable with the folder of scanned volumes.
 pub const DATA_VARIABLE: &str = "ISINGLASS_DATA";
 const BUILTINS: [&str; 3] = ["cloud", "cubus", "shells"];
 const FILES: [&str; 6] = ["bonsai", "engine", "avm", "t1_head", "heptane", "mouse_brain"];

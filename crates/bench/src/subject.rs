@@ -1,4 +1,4 @@
-//! What tables of quality, speed and codecs look at and from where, and how a report says so.
+//! The subject of tables: scenes, look and camera, and their description in a report.
 
 use std::sync::Arc;
 
@@ -16,12 +16,12 @@ use crate::scenes::SceneSource;
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{OpenedScene, scene_of};
 
-/// What is looked at, and from where.
+/// What is measured, and from where.
 #[derive(Clone, Debug)]
 pub struct Subject {
     /// The scenes, see [`crate::scenes::select`].
     pub scenes: Vec<SceneSource>,
-    /// Preset or file for all scenes; none: the one that suits each.
+    /// Preset or file for all scenes; `None` chooses the one that suits each.
     pub transfer: Option<String>,
     /// List lengths, each 1 to [`isinglass_core::layer::MAX_K`].
     pub ks: Vec<u8>,
@@ -29,15 +29,15 @@ pub struct Subject {
     pub angles_degrees: Vec<f32>,
     /// The generating camera.
     pub orbit: Orbit,
-    /// Size and field of view of pictures, and of frames if nothing else is said.
+    /// Size and field of view of pictures, and by default of frames.
     pub intrinsics: Intrinsics,
     /// Whether gradients shade.
     pub shaded: bool,
-    /// What a pixel tells of its ray.
+    /// What a pixel shows of its ray.
     pub mode: Mode,
     /// The surfaces of [`Mode::Iso`].
     pub isos: Isos,
-    /// What of the volumes is looked at.
+    /// The visible part of the volumes.
     pub clip: Clip,
 }
 
@@ -52,7 +52,7 @@ impl Subject {
         Ok(Arc::new(open(&source.volume.source, &source.volume.options())?))
     }
 
-    /// Makes them ready.
+    /// Prepares them for rendering.
     pub fn open_scene(&self, source: &SceneSource, volume: Arc<Volume>) -> Result<OpenedScene, BenchError> {
         let (clip, mode, isos) = (self.clip, self.mode, self.isos);
         let settings =
@@ -60,12 +60,12 @@ impl Subject {
         Ok(scene_of(volume, &source.volume.source, self.transfer.as_deref(), settings)?)
     }
 
-    /// The generating camera's place around a volume, upright as that is for `render` and the viewer.
+    /// The generating camera's place around a volume, upright as for `render` and the viewer.
     pub fn orbit(&self, volume: &Volume) -> Orbit {
         self.orbit.upright(volume.info.orientation.as_deref())
     }
 
-    /// What holds for all of its rows.
+    /// The conditions of all rows.
     pub fn conditions(&self, threads: usize, failed: Vec<String>) -> SubjectConditions {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let Orbit { azimuth_degrees, elevation_degrees, distance_in_radii, .. } = self.orbit;
@@ -88,8 +88,8 @@ impl Subject {
     }
 }
 
-/// Measures scene by scene, and returns what failed: a scene that cannot be measured to its end costs its own rows, not
-/// the hours of others.
+/// Measures scene by scene, and returns the failures. A scene that fails loses only its own rows, not hours of work
+/// on others.
 pub fn each_scene<E: std::fmt::Display>(
     scenes: &[SceneSource],
     mut measure: impl FnMut(&SceneSource) -> Result<(), E>,
@@ -98,7 +98,7 @@ pub fn each_scene<E: std::fmt::Display>(
     for source in scenes {
         if let Err(error) = measure(source) {
             let line = match error.to_string() {
-                // That of a file names it already.
+                // An error about a file names it already.
                 told if told.starts_with(&format!("{}:", source.name)) => told,
                 told => format!("{}: {told}", source.name),
             };
@@ -109,7 +109,7 @@ pub fn each_scene<E: std::fmt::Display>(
     failures
 }
 
-/// Scenes that were not measured to their end: a line about each, and why.
+/// Scenes that failed, with their errors.
 #[derive(Debug)]
 pub struct Failures<E>(Vec<(String, E)>);
 
@@ -120,12 +120,12 @@ impl<E> Default for Failures<E> {
 }
 
 impl<E> Failures<E> {
-    /// Adds those of other runs.
+    /// Appends the failures of another run.
     pub fn append(&mut self, mut others: Self) {
         self.0.append(&mut others.0);
     }
 
-    /// A line each for the report; the first error if there is nothing to report.
+    /// One line each for the report; the first error if there is nothing to report.
     pub fn lines(mut self, is_nothing_measured: bool) -> Result<Vec<String>, E> {
         if is_nothing_measured && !self.0.is_empty() {
             return Err(self.0.swap_remove(0).1);
@@ -134,7 +134,7 @@ impl<E> Failures<E> {
     }
 }
 
-/// What holds for all rows of a report.
+/// The conditions of all rows in a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct SubjectConditions {
     /// Version of this program.
@@ -149,21 +149,21 @@ pub struct SubjectConditions {
     pub distance_radii: f32,
     /// Turns, degrees.
     pub angles_deg: Vec<f32>,
-    /// Preset or file of all scenes; none: the one that suits each.
+    /// Preset or file of all scenes; `None` for the one that suits each.
     pub transfer: Option<String>,
-    /// What a pixel told of its ray.
+    /// What a pixel shows of its ray.
     pub mode: &'static str,
     /// The surfaces of mode `iso`.
     pub isos: Isos,
-    /// What of the volumes was looked at.
+    /// The visible part of the volumes.
     pub clip: Clip,
-    /// What was taken of files.
+    /// The part of each file.
     pub part: Selection,
     /// Whether gradients shade.
     pub shading: bool,
     /// Threads of the CPU.
     pub threads: usize,
-    /// Scenes whose rows are missing or not all there, with the cause.
+    /// Scenes with missing rows, and the cause.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<String>,
 }

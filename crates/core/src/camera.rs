@@ -4,10 +4,10 @@ use glam::{Quat, Vec3};
 
 use crate::space::{Aabb, Ray};
 
-/// Where a camera is and how it is turned.
+/// Position and rotation of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// Centre of projection, world space. Of parallel rays, the middle of the plane that they start on.
+    /// Centre of projection, world space. For parallel rays, the middle of the plane on which they start.
     pub eye: Vec3,
     /// Rotation from view space (looking along −z, +y up) to world space; unit length.
     pub world_from_view: Quat,
@@ -21,8 +21,8 @@ impl Pose {
         Self { eye: center + world_from_view * (Vec3::Z * distance), world_from_view }
     }
 
-    /// The pose turned by `world_from_view` whose eye lies at `eye_from_center`, in view space, from the point `center` of
-    /// world space.
+    /// The pose rotated by `world_from_view` whose eye is `eye_from_center`, in view space, away from the world point
+    /// `center`.
     pub fn around(center: Vec3, world_from_view: Quat, eye_from_center: Vec3) -> Self {
         Self { eye: center + world_from_view * eye_from_center, world_from_view }
     }
@@ -35,7 +35,7 @@ impl Pose {
         Self { eye, world_from_view: Quat::from_mat3(&basis).normalize() }
     }
 
-    /// The pose a part `t` of the way from `self` to `to`: eye on the straight line, rotation by slerp.
+    /// The pose at fraction `t` from `self` to `to`: the eye moves on a straight line, the rotation is a slerp.
     pub fn interpolate(&self, to: &Self, t: f32) -> Self {
         Self {
             eye: self.eye.lerp(to.eye, t),
@@ -43,8 +43,8 @@ impl Pose {
         }
     }
 
-    /// The pose whose eye is moved along the viewing direction to where all of `bounds` is well in front: parallel rays stay
-    /// the same.
+    /// The pose with the eye moved back along the viewing direction until all of `bounds` is well in front. Parallel
+    /// rays stay the same.
     pub fn before(&self, bounds: &Aabb) -> Self {
         let forward = self.forward();
         let depth = (bounds.center() - self.eye).dot(forward);
@@ -56,7 +56,7 @@ impl Pose {
         self.world_from_view * Vec3::NEG_Z
     }
 
-    /// Whether all numbers are finite and bounded and the rotation is a rotation.
+    /// Whether all numbers are finite and bounded and the rotation is valid.
     pub fn is_valid(&self) -> bool {
         self.eye.is_finite()
             && self.eye.abs().max_element() <= MAX_COORDINATE
@@ -65,35 +65,35 @@ impl Pose {
     }
 }
 
-/// Size of the picture, and how much of the world it shows.
+/// Size of the picture, and its projection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Which way its rays run.
+    /// The projection of its rays.
     pub projection: Projection,
 }
 
-/// Which way the rays of a picture run, and how far apart.
+/// Direction and distance of a picture's rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
-    /// All from the eye.
+    /// All rays start at the eye.
     Perspective {
         /// Vertical field of view, radians, in (0, π).
         fov_y: f32,
     },
-    /// All along the viewing direction, from the plane of the eye: what is far away is as large as what is near.
+    /// All rays run along the viewing direction, from the plane of the eye: size does not depend on distance.
     Orthographic {
-        /// Height of what the picture shows, world units.
+        /// Height of the visible area, world units.
         height: f32,
     },
 }
 
 impl Projection {
-    /// As one number, which frames and poses are stored and sent with: the vertical field of view in radians or, of an
-    /// orthographic picture, minus its height in world units.
+    /// One number that stores and transmits a projection: the vertical field of view in radians, or minus the height
+    /// of an orthographic picture in world units.
     pub fn to_number(self) -> f32 {
         match self {
             Self::Perspective { fov_y } => fov_y,
@@ -101,7 +101,7 @@ impl Projection {
         }
     }
 
-    /// Inverse of [`Projection::to_number`]; of a number that is none, a projection that is not valid.
+    /// Inverse of [`Projection::to_number`]; an invalid number gives an invalid projection.
     pub fn from_number(number: f32) -> Self {
         if number < 0.0 {
             Self::Orthographic { height: -number }
@@ -153,8 +153,8 @@ impl Intrinsics {
         }
     }
 
-    /// Half the width and half the height of what the picture shows at a view depth, world units. At depth 1 of a
-    /// perspective picture they are the tangents of half its fields of view.
+    /// Half the width and half the height of the visible area at a view depth, world units. At depth 1 of a
+    /// perspective they are the tangents of half the fields of view.
     pub fn half_size_at(&self, depth: f32) -> (f32, f32) {
         let y = match self.projection {
             Projection::Perspective { fov_y } => (fov_y * 0.5).tan() * depth,
@@ -163,15 +163,15 @@ impl Intrinsics {
         (y * self.width as f32 / self.height as f32, y)
     }
 
-    /// The same pixels with `margin` more of them on every side (a guard band): pixel (x, y) of `self` has the ray of
-    /// pixel (x + margin, y + margin) of the result, up to the rounding of the angle or height.
+    /// The same picture with `margin` more pixels on every side (a guard band). Pixel (x, y) of `self` has the ray of
+    /// pixel (x + margin, y + margin) of the result, up to rounding.
     pub fn with_margin(&self, margin: u32) -> Self {
         if margin == 0 {
             return *self;
         }
         let (width, height) = (self.width + 2 * margin, self.height + 2 * margin);
         let growth = f64::from(height) / f64::from(self.height);
-        // In double precision, so that it is rounded once.
+        // Double precision, so that the result is rounded once.
         let projection = match self.projection {
             Projection::Perspective { fov_y } => {
                 let tan = (f64::from(fov_y) * 0.5).tan() * growth;
@@ -184,14 +184,14 @@ impl Intrinsics {
         Self { width, height, projection }
     }
 
-    /// The margin with which `inner` becomes `self`, if there is one.
+    /// The margin that makes `self` of `inner`, if there is one.
     pub fn margin_around(&self, inner: &Self) -> Option<u32> {
         let margin = self.height.checked_sub(inner.height)? / 2;
         (inner.with_margin(margin) == *self).then_some(margin)
     }
 
-    /// The distance, in units of a sphere's radius, at which the sphere just fits a perspective view; 1, from where all of
-    /// it is in front, for one of parallel rays.
+    /// The distance at which a sphere just fits the view, in units of its radius. For parallel rays it is 1, which
+    /// puts the sphere in front.
     pub fn fit_distance(&self) -> f32 {
         if self.projection.is_orthographic() {
             return 1.0;
@@ -201,7 +201,7 @@ impl Intrinsics {
     }
 }
 
-/// A camera with the depth interval that its layered frame is quantised in.
+/// A camera with the depth interval that quantises its layered frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Position and rotation.
@@ -215,18 +215,18 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera whose near and far planes enclose the bounding sphere of `bounds` (design, trap 8; Zellmann 2012).
+    /// A camera whose near and far planes enclose the bounding sphere of `bounds` (Zellmann 2012).
     pub fn new(pose: Pose, intrinsics: Intrinsics, bounds: &Aabb) -> Self {
         let radius = bounds.radius();
         let center_depth = (bounds.center() - pose.eye).dot(pose.forward());
         let least = radius * 1e-3;
         let near = (center_depth - radius).max(least);
-        // Seen from so far away that rounding swallows the volume, the planes still differ.
+        // The planes differ even from so far away that rounding swallows the volume.
         let far = (center_depth + radius).max(near + least).max(near * (1.0 + 1e-6));
         Self { pose, intrinsics, near, far }
     }
 
-    /// The vectors that make rays, in the form every kernel uses.
+    /// The vectors that generate rays, in the form that every kernel uses.
     pub fn basis(&self) -> Basis {
         let (half_width, half_height) = self.intrinsics.half_size_at(1.0);
         let q = self.pose.world_from_view;
@@ -241,8 +241,8 @@ impl Camera {
         }
     }
 
-    /// The camera of parallel rays that shows what lies at view depth `depth` where this one does, and as large. All of
-    /// the volume in `bounds` is in front of it.
+    /// A camera of parallel rays that shows matter at view depth `depth` in the same place and size. All of the
+    /// volume in `bounds` is in front of it.
     pub fn to_orthographic(&self, depth: f32, bounds: &Aabb) -> Self {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let world_height = 2.0 * self.intrinsics.half_size_at(depth).1;
@@ -255,8 +255,8 @@ impl Camera {
         self.basis().ray(x, y)
     }
 
-    /// By how many pixels the picture of a box exceeds the camera's own on the side where it does most; 0 if all of it
-    /// is inside, infinite if a part of it is behind the eye.
+    /// Greatest number of pixels by which a box reaches beyond a side of the picture; 0 if it is inside, infinite if
+    /// a part is behind the eye.
     pub fn overhang(&self, bounds: &Aabb) -> f32 {
         let basis = self.basis();
         let beyond = |corner: Vec3| {
@@ -281,24 +281,24 @@ impl Camera {
     }
 }
 
-/// A camera as an eye and three vectors. With x, y in [−1, 1] over the picture, a pixel's ray goes from the eye along
-/// `forward + x·right + y·up` or, where rays are parallel, from `eye + x·right + y·up` along `forward`. The view depth of
-/// such a direction is exactly 1.
+/// A camera as an eye and three vectors. For x, y in [−1, 1] over the picture, a pixel's ray runs from the eye along
+/// `forward + x·right + y·up`. With parallel rays it runs from `eye + x·right + y·up` along `forward`. Its direction
+/// has a view depth of exactly 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Basis {
     /// Centre of projection, world space.
     pub eye: Vec3,
     /// Unit viewing direction.
     pub forward: Vec3,
-    /// Right, as long as half of the picture's width at view depth 1.
+    /// Points right; its length is half of the picture's width at view depth 1.
     pub right: Vec3,
-    /// Up, as long as half of the picture's height at view depth 1.
+    /// Points up; its length is half of the picture's height at view depth 1.
     pub up: Vec3,
     /// Columns.
     pub width: f32,
     /// Rows.
     pub height: f32,
-    /// 1 where rays meet in the eye, 0 where they are parallel.
+    /// 1 for a perspective, 0 for parallel rays.
     pub perspective: f32,
 }
 
@@ -309,7 +309,7 @@ pub struct PixelLine {
     pub o: Vec3,
     /// Its direction.
     pub d: Vec3,
-    /// View depth of the origin, and what it grows by for each unit of s.
+    /// View depth of the origin, and its change per unit of s.
     pub depth: [f32; 2],
 }
 
@@ -334,7 +334,7 @@ impl Basis {
         self.forward + self.right * nx + self.up * ny
     }
 
-    /// Where the ray through a point of pixel space starts, world space.
+    /// Start of the ray through a point of pixel space, world space.
     pub fn origin(&self, x: f32, y: f32) -> Vec3 {
         let [nx, ny] = self.normalized(x, y).map(|n| n * (1.0 - self.perspective));
         self.eye + self.right * nx + self.up * ny
@@ -351,13 +351,13 @@ impl Basis {
         (Ray { origin: self.origin(x, y), dir: d / length }, length)
     }
 
-    /// Homogeneous pixel coordinates (x·w, y·w, w) of a point of the world. The weight w is the view depth or, where rays
-    /// are parallel, 1.
+    /// Homogeneous pixel coordinates (x·w, y·w, w) of a point in the world. The weight w is the view depth, or 1 for
+    /// parallel rays.
     pub fn pixel_from_point(&self, point: Vec3) -> Vec3 {
         self.pixel_from_world(point - self.eye, 1.0 - self.perspective)
     }
 
-    /// The same of a direction: what is added to a point's for each unit of it.
+    /// The same for a direction: the change of a point's coordinates along it.
     pub fn pixel_from_direction(&self, direction: Vec3) -> Vec3 {
         self.pixel_from_world(direction, 0.0)
     }
@@ -369,7 +369,7 @@ impl Basis {
         Vec3::new((w + x) * 0.5 * self.width, (w - y) * 0.5 * self.height, w)
     }
 
-    /// View depth of a point of the world.
+    /// View depth of a point in the world.
     pub fn depth_of(&self, point: Vec3) -> f32 {
         (point - self.eye).dot(self.forward)
     }
@@ -384,11 +384,11 @@ impl Basis {
     }
 }
 
-/// Heights of orthographic pictures, world units: so that their squares times those of pixels are single-precision numbers.
+/// Valid heights of orthographic pictures, world units: their squares times those of pixels stay in single precision.
 const HEIGHTS: std::ops::RangeInclusive<f32> = 1e-16..=1e15;
-/// Farthest an eye may be from the origin: squares of it are still finite single-precision numbers.
+/// Largest distance of an eye from the origin: its square is finite in single precision.
 const MAX_COORDINATE: f32 = 1e15;
-/// Farthest depth that a camera may see.
+/// Largest depth that a camera may see.
 const MAX_DEPTH: f32 = 1e16;
 /// Largest picture side that is accepted from anyone.
 pub const MAX_SIDE: u32 = 8192;

@@ -1,7 +1,7 @@
-//! Long pieces of work ask from time to time whether anybody still waits for them.
+//! Lets long work check whether anybody still waits for it.
 
-/// Answers whether the result is still wanted. Asked by several threads; once it has said no, it must stay with it.
+/// Answers whether the result is still wanted. Several threads call it; after one "no" it must keep answering "no".
 pub type Wanted<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// For work that is always wanted.
+/// Stands for work that is always wanted.
 pub const ALWAYS: Wanted<'static> = &|| true;

@@ -1,20 +1,21 @@
-//! What of the volume is looked at: a box, and one side of a plane. Twin of `clip_region` in `shaders/shared/space.wgsl`.
+//! The visible part of the volume: a box, and one side of a plane. Twin of `clip_region` in
+//! `shaders/shared/space.wgsl`.
 //!
-//! Clipping is an operation on the interval of a ray, before anything else is done along it: box ∩ volume's box, then
-//! the half-space. So nothing outside is marched, and a segment that reaches out is cut to its length inside.
+//! Clipping cuts the interval of a ray before anything else happens along it: box ∩ volume's box, then the
+//! half-space. So nothing outside is marched, and a segment that reaches out is cut to its length inside.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::space::{Aabb, Ray};
 
-/// What is left of a volume. Both parts may be there; what lies in both is left.
+/// The visible part of a volume: the intersection of both, where given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Clip {
-    /// Only what is inside, world space; none: all of the volume.
+    /// The visible box, world space; `None` for all of the volume.
     #[serde(rename = "box")]
     pub bounds: Option<Aabb>,
-    /// Only what is on one side; none: both.
+    /// The plane with the visible side; `None` for both sides.
     pub plane: Option<Plane>,
 }
 
@@ -22,13 +23,13 @@ pub struct Clip {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "PlaneNumbers", into = "PlaneNumbers")]
 pub struct Plane {
-    /// Unit vector towards what is left.
+    /// Unit vector towards the visible side.
     pub normal: Vec3,
-    /// Of the plane from the origin along the normal, world units.
+    /// Distance of the plane from the origin along the normal, world units.
     pub offset: f32,
 }
 
-/// A plane as it is written.
+/// Serialized form of a plane.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct PlaneNumbers {
     normal: [f32; 3],
@@ -48,19 +49,19 @@ impl From<Plane> for PlaneNumbers {
 }
 
 impl Plane {
-    /// From a normal of any length and n·p = d on the plane; none if the normal has no direction.
+    /// The plane n·p = d for a normal of any length; `None` if the normal has no direction.
     pub fn new(normal: Vec3, d: f32) -> Option<Self> {
         let length = normal.length();
         let unit = normal.try_normalize()?;
         Some(Self { normal: unit, offset: d / length })
     }
 
-    /// The same plane with the other side.
+    /// The same plane with the other side visible.
     pub fn flipped(self) -> Self {
         Self { normal: -self.normal, offset: -self.offset }
     }
 
-    /// Distance of a point from the plane, positive on the side that is left.
+    /// Distance of a point from the plane, positive on the visible side.
     pub fn distance(&self, point: Vec3) -> f32 {
         self.normal.dot(point) - self.offset
     }
@@ -72,16 +73,16 @@ pub enum ClipError {
     /// A side of the box is empty or not a number.
     #[error("the clip box is empty, or not of finite numbers")]
     Box,
-    /// The normal is not of unit length, or a number not finite.
+    /// The normal is not of unit length, or a number is not finite.
     #[error("the clip plane has no normal of unit length, or an offset that is not finite")]
     Plane,
 }
 
 impl Clip {
-    /// Checks what the type cannot say.
+    /// Checks what the type cannot express.
     ///
     /// # Errors
-    /// The first promise broken.
+    /// The first rule that it breaks.
     pub fn validate(&self) -> Result<(), ClipError> {
         let is_sound = |p: Vec3| p.is_finite() && p.abs().max_element() <= MAX_COORDINATE;
         if self.bounds.is_some_and(|b| !is_sound(b.min) || !is_sound(b.max) || b.min.cmpge(b.max).any()) {
@@ -94,7 +95,7 @@ impl Clip {
         Ok(())
     }
 
-    /// What is left of a volume in the box `volume`.
+    /// The visible part of a volume in the box `volume`.
     pub fn region(&self, volume: &Aabb) -> Region {
         let mut region = Region { bounds: *volume, normal: Vec3::ZERO, offset: 0.0 };
         if let Some(plane) = self.plane {
@@ -106,19 +107,19 @@ impl Clip {
                 max: clip.max.clamp(volume.min, volume.max),
             };
             if region.bounds.min.cmpge(region.bounds.max).any() {
-                // Beside the volume: the clamped box has no inside, but a margin would give it one.
+                // Beside the volume the clamped box is empty, but a margin would give it an inside.
                 (region.normal, region.offset) = (Vec3::ZERO, f32::MAX);
             }
         }
         region
     }
 
-    /// Whether nothing is left by this that `other` takes away, of a volume in the box `volume`.
+    /// Whether this shows nothing that `other` hides, for a volume in the box `volume`.
     pub fn is_within(&self, other: &Self, volume: &Aabb) -> bool {
         let (inner, outer) = (self.region(volume), other.region(volume));
         let is_boxed =
             inner.bounds.min.cmpge(outer.bounds.min).all() && inner.bounds.max.cmple(outer.bounds.max).all();
-        // All corners of what the box leaves, a bit inside, for the rounding of products.
+        // Tests all corners of the visible box, slightly inside because products round.
         let is_on_side = other.plane.is_none_or(|p| {
             let slack = 1e-6 * (volume.radius() + p.offset.abs());
             self.plane.is_some_and(|own| own.normal == p.normal && own.offset >= p.offset)
@@ -128,12 +129,13 @@ impl Clip {
     }
 }
 
-/// What is left of one volume: a box and a half-space. Without a plane its normal is zero, which is on the side of all.
+/// The visible part of one volume: a box and a half-space. Without a plane the normal is zero, and every point is on
+/// the visible side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Region {
-    /// World space.
+    /// The box, world space.
     pub bounds: Aabb,
-    /// Towards what is left; zero without a plane.
+    /// Unit vector towards the visible side; zero without a plane.
     pub normal: Vec3,
     /// See [`Plane::offset`].
     pub offset: f32,
@@ -164,7 +166,7 @@ impl Region {
         Self { bounds, normal: self.normal, offset: self.offset - margin * self.normal.length() }
     }
 
-    /// Whether a point is inside.
+    /// Whether it contains a point.
     pub fn contains(&self, point: Vec3) -> bool {
         let Aabb { min, max } = self.bounds;
         point.cmpge(min).all() && point.cmple(max).all() && self.normal.dot(point) >= self.offset
@@ -178,8 +180,7 @@ impl Region {
     }
 }
 
-/// Farthest that a clip may be from the origin, world units: beyond the largest volume, and its products are still
-/// single-precision numbers.
+/// Largest coordinate of a clip, world units: beyond the largest volume, with products in single precision.
 const MAX_COORDINATE: f32 = 1e18;
 
 #[cfg(test)]

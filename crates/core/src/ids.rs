@@ -32,7 +32,7 @@ id!(
     PoseId(u32)
 );
 id!(
-    /// Counts the changes of look (transfer function and shading); a frame names the one it was made with.
+    /// Counts the changes of look (transfer function and shading); a frame names its version.
     LookVersion(u32)
 );
 id!(

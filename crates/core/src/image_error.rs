@@ -1,11 +1,11 @@
-//! How far one picture is from another: SSIM, DSSIM, PSNR and the greatest difference.
+//! The difference of two pictures: SSIM, DSSIM, PSNR and the greatest difference.
 //!
-//! SSIM follows Wang 2004 to the letter: luma, an 11×11 Gaussian window with σ = 1.5 that sums to one, K1 = 0.01,
-//! K2 = 0.03, data range 255, weighted (biased) moments. Where the window leaves the picture, the picture is mirrored
-//! about its edge (`d c b a | a b c d | d c b a`), so every pixel has a value and the mean is over all of them.
-//! Luma is Wang's `rgb2gray`: 0.299 R + 0.587 G + 0.114 B of the 8-bit sRGB numbers, not rounded.
+//! SSIM follows Wang 2004 to the letter: luma, an 11×11 Gaussian window with σ = 1.5 that sums to one, K1 = 0.01, K2
+//! = 0.03, data range 255, weighted (biased) moments. Beyond its edges the picture is mirrored (`d c b a | a b c d |
+//! d c b a`), so the mean covers every pixel. Luma is Wang's `rgb2gray`: 0.299 R + 0.587 G + 0.114 B of the 8-bit
+//! sRGB numbers, not rounded.
 //!
-//! Black background flatters a mean over all pixels, so DSSIM is also given over the object's bounding rectangle.
+//! A black background flatters a mean over all pixels, so DSSIM is also given over the object's bounding rectangle.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -21,8 +21,8 @@ pub struct ImageError {
     pub psnr_db: f64,
     /// Greatest difference of any channel of any pixel, 0 to 255.
     pub max_abs_255: u8,
-    /// DSSIM over the bounding rectangle of the pixels that are not background in either picture; 0 if there are none
-    /// (both pictures are then background, hence equal).
+    /// DSSIM over the bounding rectangle of all pixels that are not background in either picture; 0 if there are
+    /// none.
     pub dssim_object: f64,
 }
 
@@ -40,7 +40,7 @@ pub enum ImageErrorError {
     /// The bytes are not those of a picture of the stated size.
     #[error("picture {which} has {found} bytes, expected {expected} for {width}x{height} RGB")]
     Size {
-        /// 1 or 2.
+        /// Which picture, 1 or 2.
         which: u8,
         /// Bytes given.
         found: usize,
@@ -53,8 +53,8 @@ pub enum ImageErrorError {
     },
 }
 
-/// Compares two 8-bit RGB pictures (row by row, three bytes a pixel). `background` is the colour that does not count
-/// as object.
+/// Compares two 8-bit RGB pictures (row by row, three bytes per pixel). `background` is the colour that does not
+/// count as object.
 pub fn compare(
     a: &[u8],
     b: &[u8],
@@ -92,7 +92,7 @@ pub fn compare(
     Ok(ImageError { dssim: (1.0 - ssim) / 2.0, ssim, psnr_db, max_abs_255, dssim_object })
 }
 
-/// What equal pictures are given as PSNR, so that reports stay finite; nothing is above it.
+/// Greatest PSNR: equal pictures get it, so that reports stay finite.
 pub const PSNR_CAP_DB: f64 = 100.0;
 
 /// A rectangle of pixels; `x1` and `y1` are exclusive.
@@ -137,7 +137,7 @@ fn ssim_sums(a: &[f64], b: &[f64], width: usize, height: usize, rect: Rect) -> (
     let rows: Vec<(f64, f64)> = (0..height)
         .into_par_iter()
         .map_init(
-            || Scratch::new(width),
+            || RowMoments::new(width),
             |scratch, y| {
                 scratch.filter_vertically(a, b, y, height, &window);
                 let mut all = 0.0;
@@ -158,12 +158,12 @@ fn ssim_sums(a: &[f64], b: &[f64], width: usize, height: usize, rect: Rect) -> (
 }
 
 /// The five vertically filtered moments of one row (a, b, a², b², ab), with mirrored margins of [`REACH`].
-struct Scratch {
+struct RowMoments {
     width: usize,
     moments: [Vec<f64>; 5],
 }
 
-impl Scratch {
+impl RowMoments {
     fn new(width: usize) -> Self {
         Self { width, moments: std::array::from_fn(|_| vec![0.0; width + 2 * REACH]) }
     }
@@ -178,7 +178,7 @@ impl Scratch {
             let row = mirrored(y as isize + tap as isize - REACH as isize, height) * width;
             let (a, b) = (&a[row..row + width], &b[row..row + width]);
             for x in 0..width {
-                // Products first: the same bits whichever picture comes first.
+                // Multiplying the pixels first makes the result independent of the pictures' order.
                 ma[x] += w * a[x];
                 mb[x] += w * b[x];
                 maa[x] += w * (a[x] * a[x]);
@@ -204,7 +204,7 @@ impl Scratch {
     }
 }
 
-/// Mirrors an index about the edges of `0..n`, as often as it takes for pictures smaller than the window.
+/// Mirrors an index at the edges of `0..n`, repeatedly for pictures smaller than the window.
 fn mirrored(i: isize, n: usize) -> usize {
     let i = i.rem_euclid(2 * n as isize) as usize;
     if i < n { i } else { 2 * n - 1 - i }

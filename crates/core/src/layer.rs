@@ -2,7 +2,7 @@
 //!
 //! A layered frame holds, for each pixel of the generating view, a short list of segments along its ray, front to
 //! back. A segment is read as a homogeneous medium between two planes of constant view depth; gaps between segments
-//! are empty space. List `i` covers the pixel area `[i, i+1)` and was marched along its centre (design, trap 6).
+//! are empty space. List `i` covers the pixel area `[i, i+1)` and was marched along its centre.
 //!
 //! A segment is 12 bytes in three planes of `u32`, the same on the CPU and the GPU. Planes are separate so that each
 //! fits a 128 MiB storage binding at 1920×1080 with 15 segments in every list:
@@ -23,25 +23,25 @@ use crate::camera::Camera;
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::mode::{Compositing, Mode};
 
-/// What is said of a layered frame beside its lists.
+/// The header of a layered frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameHeader {
     /// Number of this frame.
     pub frame: FrameId,
-    /// The pose this frame answers.
+    /// The pose that this frame answers.
     pub pose: PoseId,
-    /// The look it was made with.
+    /// The version of its look.
     pub look: LookVersion,
     /// The generating camera; its size is the number of lists.
     pub camera: Camera,
-    /// Longest list that can occur, 1 to [`MAX_K`].
+    /// Longest possible list, 1 to [`MAX_K`].
     pub k: u8,
-    /// What its pixels tell, and with it how segments become one colour.
+    /// The mode, which decides how segments become one colour.
     pub mode: Mode,
 }
 
 impl FrameHeader {
-    /// Of a composite frame that answers nobody.
+    /// The header of a composite frame that answers no request.
     pub fn alone(camera: Camera, k: u8) -> Self {
         Self { frame: FrameId(1), pose: PoseId(0), look: LookVersion(0), camera, k, mode: Mode::default() }
     }
@@ -69,7 +69,7 @@ pub struct Segment {
     pub front: u16,
     /// Back depth, greater than `front`.
     pub back: u16,
-    /// Premultiplied linear colour of the whole segment on its own.
+    /// Premultiplied linear colour of the whole segment alone.
     pub c: Vec3,
     /// Optical depth of the whole segment.
     pub tau: f32,
@@ -105,12 +105,12 @@ impl LayeredFrame {
         Self { header, offsets: vec![0; n + 1], depth: vec![], c_rg: vec![], c_b_tau: vec![] }
     }
 
-    /// A frame with so many segments, in the memory of one that is no longer needed, unless that is too little or more than
-    /// twice what it takes. The first list begins at 0; all else may be left over, for the caller to write.
+    /// A frame with `num` segments in the memory of a `spare` one, unless that is too small or more than twice the
+    /// size. The first list begins at 0; the caller must write everything else.
     pub(crate) fn in_memory_of(spare: Option<Self>, header: FrameHeader, num_segments: usize) -> Self {
         let make_room = |mut words: Vec<u32>, num: usize| {
             if !(num..=2 * num).contains(&words.capacity()) {
-                // So that the next frame finds room even if it has some more.
+                // The next frame fits even if it is a little larger.
                 words = vec![0; num + num / 8];
             }
             words.resize(num, 0);
@@ -136,7 +136,7 @@ impl LayeredFrame {
         self.offsets.windows(2).filter(|ends| ends[1] > ends[0]).count()
     }
 
-    /// Segments in a list, over lists that have any; 0 if there are none.
+    /// Mean number of segments over lists that have any; 0 if there are none.
     pub fn segments_mean(&self) -> f64 {
         self.num_segments() as f64 / self.num_filled().max(1) as f64
     }
@@ -151,7 +151,7 @@ impl LayeredFrame {
         Segment::unpack([self.depth[i], self.c_rg[i], self.c_b_tau[i]])
     }
 
-    /// Appends a segment to the planes; the caller keeps `offsets`.
+    /// Appends a segment to the planes; the caller maintains `offsets`.
     pub fn push(&mut self, segment: &Segment) {
         let [depth, c_rg, c_b_tau] = segment.pack();
         self.depth.push(depth);
@@ -159,7 +159,7 @@ impl LayeredFrame {
         self.c_b_tau.push(c_b_tau);
     }
 
-    /// The same for several at once.
+    /// Appends several segments.
     pub fn extend(&mut self, segments: &[Segment]) {
         let packed = segments.iter().map(Segment::pack);
         self.depth.extend(packed.clone().map(|words| words[0]));
@@ -167,7 +167,7 @@ impl LayeredFrame {
         self.c_b_tau.extend(packed.map(|words| words[2]));
     }
 
-    /// The picture from the frame's own pose: every list composited as the mode has it. Premultiplied linear.
+    /// The picture from the frame's own pose, premultiplied linear: every list is composited as its mode requires.
     pub fn flatten(&self) -> crate::picture::Picture {
         let i = self.header.camera.intrinsics;
         let mut picture = crate::picture::Picture::new(i.width, i.height);
@@ -190,7 +190,7 @@ impl LayeredFrame {
         picture
     }
 
-    /// Checks every promise of this module; the message names the first one broken.
+    /// Checks every rule of this module; the message names the first one broken.
     pub fn validate(&self) -> Result<(), String> {
         let n = self.header.camera.intrinsics.num_pixels();
         if !self.header.camera.is_valid() {
@@ -247,7 +247,7 @@ impl Default for Over {
 }
 
 impl Over {
-    /// Puts a piece with premultiplied colour `c` and optical depth `tau` behind what is there.
+    /// Puts a piece with premultiplied colour `c` and optical depth `tau` behind the others.
     pub fn add(&mut self, c: Vec3, tau: f32) {
         self.c += c * self.transmittance;
         self.transmittance *= (-tau).exp();
@@ -262,14 +262,14 @@ impl Over {
 /// What a projection has collected, in any order. The identity is the default value.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Projected {
-    /// Colour.
+    /// Collected colour.
     pub c: Vec3,
-    /// Greatest key, or number that grows with it; 0 for nothing.
+    /// Greatest key, or a number that grows with it; 0 for nothing.
     pub key: f32,
 }
 
 impl Projected {
-    /// Takes another piece; `key` is without meaning for a mean.
+    /// Adds a piece; a mean ignores `key`.
     #[inline(always)]
     pub fn add(&mut self, compositing: Compositing, c: Vec3, key: f32) {
         if compositing == Compositing::Mean {
@@ -279,14 +279,14 @@ impl Projected {
         }
     }
 
-    /// Colour, and as opacity its greatest channel.
+    /// The colour, with its greatest channel as opacity.
     pub fn rgba(&self) -> [f32; 4] {
         [self.c.x, self.c.y, self.c.z, self.c.max_element().min(1.0)]
     }
 }
 
-/// What stands in the place of τ for a key in [0, 1]: 8·key³, of which the codec's scale of τ makes even steps of the key.
-/// Every segment has one above 0, which is that of nothing.
+/// The number that replaces τ for a key in [0, 1]: 8·key³, for which the codec's scale of τ makes even steps of the
+/// key. Every segment has a key above 0, which means nothing.
 pub fn slot_from_key(key: f32) -> f32 {
     let key = key.clamp(KEY_LEAST, 1.0);
     SLOT_MAX * (key * key * key)
@@ -302,14 +302,14 @@ pub fn half_below(x: f32) -> f32 {
     f32_from_half(half_from_f32(x).saturating_sub(1))
 }
 
-/// Most lists of a frame that a server makes for lists of mean length `k`: with that many segments and an eighth more, the
-/// planes stay within what a peer of the codec accepts and within wgpu's default binding size, 2²⁵ words.
+/// Most lists in a server's frame with lists of mean length `k`. With an eighth more segments, the planes still fit
+/// what the codec accepts and wgpu's default binding size, 2²⁵ words.
 pub fn max_lists(k: u8) -> usize {
     let k = usize::from(k.max(1));
     ((1 << 25) / (k + k.div_ceil(8))).clamp(ALWAYS_LISTS, MAX_LISTS)
 }
 
-/// View depth (world units) to the 16-bit scale of a frame, unrounded and unclamped.
+/// Converts view depth (world units) to a frame's 16-bit scale, unrounded and unclamped.
 pub fn depth_to_units(camera: &Camera, depth: f32) -> f32 {
     (depth - camera.near) * (DEPTH_UNITS / (camera.far - camera.near))
 }
@@ -327,7 +327,7 @@ pub fn unpack_halves(word: u32) -> (f32, f32) {
     (f32_from_half(word as u16), f32_from_half((word >> 16) as u16))
 }
 
-/// Non-negative half to float by moving the bits and scaling the exponent (exact for subnormals too).
+/// Converts a non-negative half float by moving its bits and scaling the exponent (exact for subnormals too).
 #[inline]
 fn f32_from_half(h: u16) -> f32 {
     f32::from_bits(u32::from(h & 0x7fff) << 13) * f32::from_bits((254 - 15) << 23)
@@ -336,23 +336,23 @@ fn f32_from_half(h: u16) -> f32 {
 #[inline]
 #[expect(clippy::manual_clamp, reason = "max and min turn NaN into 0, clamp would keep it")]
 fn half_from_f32(x: f32) -> u16 {
-    // The product brings the exponent bias to the half's.
+    // The product changes the exponent bias to that of a half float.
     let scaled = (x.max(0.0).min(HALF_MAX) * f32::from_bits(15 << 23)).to_bits();
     ((scaled + 0xfff + (scaled >> 13 & 1)) >> 13) as u16
 }
 
-/// Greatest optical depth of a segment: e^−1000 is zero in any picture, and a thousandth of such a segment is still
-/// seen with a transmittance of e^−1.
+/// Greatest optical depth of a segment: e^−1000 is zero in any picture, and a thousandth of such a segment still has
+/// a transmittance of e^−1.
 pub const TAU_MAX: f32 = 1000.0;
 /// Least key of a segment.
 pub const KEY_LEAST: f32 = 0.005;
-/// What stands in the place of τ for a key of 1.
+/// The number that replaces τ for a key of 1.
 pub const SLOT_MAX: f32 = 8.0;
 /// Greatest list length: Gupta 2022 compares lists of 15 and of 30.
 pub const MAX_K: usize = 32;
-/// Most lists of a frame that a server makes at all: 1920×1080 with a margin of 160 on each side.
+/// Most lists in any server's frame: 1920×1080 with a margin of 160 on each side.
 pub const MAX_LISTS: usize = 2240 * 1400;
-/// Lists of the largest picture that a viewer asks for, 1920×1200: a server makes so many of any K.
+/// Lists of the largest picture that a viewer requests, 1920×1200: a server allows this many for any K.
 pub const ALWAYS_LISTS: usize = 1920 * 1200;
 /// Depth units between near and far.
 pub const DEPTH_UNITS: f32 = 65535.0;

@@ -1,4 +1,4 @@
-//! What a viewer may choose about the picture: mode, classification, shading and list lengths.
+//! The viewer's choices for the picture: mode, classification, shading and list lengths.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,20 +9,20 @@ use crate::mode::{Isos, Mode};
 use crate::transfer::{TransferError, TransferFunction};
 use crate::volume::{Lighting, LightingError};
 
-/// The choices that a frame is made with. Each change has a [`LookVersion`](crate::ids::LookVersion).
+/// The choices behind a frame. Each change has a [`LookVersion`](crate::ids::LookVersion).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Look {
-    /// From scalar to colour and extinction.
+    /// Maps scalars to colour and extinction.
     pub transfer: TransferFunction,
     /// Whether gradients shade the colour.
     pub shaded: bool,
-    /// Where the light is, and the shade of matter.
+    /// Direction of the light, and the shade of matter.
     pub lighting: Lighting,
     /// Mean length of lists that are not empty, 1 to [`MAX_K`].
     pub k: u8,
-    /// What of the volume is looked at.
+    /// The visible part of the volume.
     pub clip: Clip,
-    /// What a pixel tells of its ray.
+    /// What a pixel shows of its ray.
     #[serde(default)]
     pub mode: Mode,
     /// The surfaces of [`Mode::Iso`].
@@ -33,7 +33,7 @@ pub struct Look {
 /// Why a look cannot be used.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum LookError {
-    /// The transfer function is not one.
+    /// The transfer function is not valid.
     #[error("transfer function: {0}")]
     Transfer(#[from] TransferError),
     /// The name is too long or cannot be printed.
@@ -44,26 +44,26 @@ pub enum LookError {
     /// The list length is out of range.
     #[error("k is {0}, expected 1 to {MAX_K}")]
     K(u8),
-    /// The clip is not one.
+    /// The clip is not valid.
     #[error(transparent)]
     Clip(#[from] ClipError),
-    /// The light is not one.
+    /// The light is not valid.
     #[error(transparent)]
     Lighting(#[from] LightingError),
 }
 
 impl Look {
-    /// A transfer function with everything else as it is unless somebody chooses.
+    /// A look with this transfer function and defaults.
     pub fn new(transfer: TransferFunction) -> Self {
         let (lighting, clip) = (Lighting::default(), Clip::default());
         let (mode, isos) = (Mode::default(), Isos::default());
         Self { transfer, shaded: true, lighting, k: DEFAULT_K, clip, mode, isos }
     }
 
-    /// Checks what the type cannot say.
+    /// Checks what the type cannot express.
     ///
     /// # Errors
-    /// The first promise broken.
+    /// The first rule that it breaks.
     pub fn validate(&self) -> Result<(), LookError> {
         let name = &self.transfer.name;
         if name.len() > MAX_NAME_BYTES || name.chars().any(char::is_control) {
@@ -77,7 +77,7 @@ impl Look {
         Ok(self.transfer.validate()?)
     }
 
-    /// Whether a volume is marched alike under both: they differ in the length of lists alone.
+    /// Whether both march a volume alike, so that they differ at most in the length of lists.
     pub fn marches_like(&self, other: &Self) -> bool {
         Self { k: other.k, ..self.clone() } == *other
     }
@@ -89,7 +89,7 @@ impl Look {
     }
 }
 
-/// [`Look::k`] unless somebody chooses.
+/// The default of [`Look::k`].
 pub const DEFAULT_K: u8 = 8;
 /// Longest name that is accepted.
 pub const MAX_NAME_BYTES: usize = 200;

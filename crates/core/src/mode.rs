@@ -1,11 +1,10 @@
-//! What a pixel tells of the matter along its ray.
-//!
+//! The rendering mode: what a pixel shows of the matter along its ray.
 //! - *Composite*: emission and absorption (Max 1995), shaded or not.
 //! - *MIP*, *MinIP*: the greatest or the least value along the ray, as the transfer function shows it.
-//! - *Average*: the mean, over the way through the volume's box, of what the transfer function shows.
-//! - *Isosurface*: the places where the values pass given ones; each a surface of one opacity, seen from wherever.
+//! - *Average*: the mean of what the transfer function shows, along the ray through the volume's box.
+//! - *Isosurface*: the surfaces of given values, each of one opacity, visible from both sides.
 //!
-//! What the transfer function shows of a value is said at [`crate::transfer::TransferFunction::shown`].
+//! See [`crate::transfer::TransferFunction::shown`] for what the transfer function shows of a value.
 
 use serde::{Deserialize, Serialize};
 
@@ -20,20 +19,20 @@ pub enum Mode {
     Mip,
     /// Least value.
     MinIp,
-    /// Mean over the way.
+    /// Mean along the ray.
     Average,
     /// Surfaces of one value each.
     Iso,
 }
 
-/// How what is met along a ray becomes one colour.
+/// How the pieces along a ray become one colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Compositing {
     /// Front to back with *over*.
     Over,
-    /// The one with the greatest key, whatever the order.
+    /// The piece with the greatest key, in any order.
     Greatest,
-    /// The sum of shares of the way, whatever the order.
+    /// The sum of shares of the ray, in any order.
     Mean,
 }
 
@@ -66,7 +65,7 @@ impl Mode {
         self.compositing() != Compositing::Over
     }
 
-    /// The next one, and after the last the first.
+    /// The next mode, cyclically.
     pub fn next(self) -> Self {
         Self::ALL[(self as usize + 1) % Self::ALL.len()]
     }
@@ -98,7 +97,7 @@ pub struct Iso {
     pub opacity: f32,
 }
 
-/// Up to [`MAX_ISOS`] surfaces. None stand for the one value that parts the histogram best
+/// Up to [`MAX_ISOS`] surfaces. Without any, the value that splits the histogram best is used
 /// ([`crate::volume::Histogram::parting_value`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<Iso>", into = "Vec<Iso>")]
@@ -129,7 +128,7 @@ fn opaque() -> f32 {
 }
 
 impl Isos {
-    /// These surfaces, in any order.
+    /// Takes surfaces in any order.
     ///
     /// # Errors
     /// If there are more than [`MAX_ISOS`], or a number is out of its range.

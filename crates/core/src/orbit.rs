@@ -1,4 +1,4 @@
-//! Views as they are written on a command line: `AZ,EL[,DIST]` around the volume's centre.
+//! Views as written on a command line: `AZ,EL[,DIST]` around the volume's centre.
 
 use std::str::FromStr;
 
@@ -10,13 +10,13 @@ use glam::{Quat, Vec3};
 /// A place on a sphere around the volume's centre, looking at it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// Degrees; positive moves the eye towards +x of its space.
+    /// Azimuth, degrees; positive moves the eye towards +x of its space.
     pub azimuth_degrees: f32,
-    /// Degrees; positive moves the eye towards +y of its space.
+    /// Elevation, degrees; positive moves the eye towards +y of its space.
     pub elevation_degrees: f32,
-    /// Distance of the eye from the centre in radii of the bounding sphere; none: the sphere just fits the view.
+    /// Distance of the eye from the centre, radii of the bounding sphere; `None` fits the sphere into the view.
     pub distance_in_radii: Option<f32>,
-    /// From the space of the angles; the identity measures them in the volume's own axes.
+    /// Rotation from the space of the angles to world space; the identity uses the volume's own axes.
     pub world_from_angles: Quat,
 }
 
@@ -42,12 +42,12 @@ impl Orbit {
         Self { world_from_angles: world_from_upright(letters), ..self }
     }
 
-    /// The camera there.
+    /// The camera at this place.
     pub fn camera(&self, intrinsics: Intrinsics, bounds: &Aabb) -> Camera {
         Camera::new(self.pose(&intrinsics, bounds), intrinsics, bounds)
     }
 
-    /// The pose there.
+    /// The pose at this place.
     pub fn pose(&self, intrinsics: &Intrinsics, bounds: &Aabb) -> Pose {
         let distance = self.distance_in_radii.unwrap_or_else(|| intrinsics.fit_distance()) * bounds.radius();
         self.pose_at(bounds.center(), distance)
@@ -88,39 +88,36 @@ impl FromStr for Orbit {
     }
 }
 
-/// Radius of the bounding sphere of the volume that a frame was made of. The centre is the world's origin and the
-/// sphere ends at the far plane ([`Camera::new`]).
+/// Radius of the bounding sphere of a frame's volume. Its centre is the world's origin, and it ends at the far plane
+/// ([`Camera::new`]).
 pub fn radius_from_header(header: &FrameHeader) -> f32 {
     let camera = &header.camera;
     let center_depth = (-camera.pose.eye).dot(camera.pose.forward());
     let sphere = camera.far - center_depth;
-    // A camera that looks away from the volume has its far plane clamped; whatever a frame holds is before it.
+    // A camera that looks away from the volume has a clamped far plane, with the whole frame in front of it.
     if sphere > 0.0 { sphere } else { camera.pose.eye.length() + camera.far }
 }
 
-/// A box around the volume that a frame was made of: that of its bounding sphere, as the header does not know the
-/// volume's own.
+/// A box around a frame's volume: that of its bounding sphere, because the header does not know the volume's own.
 pub fn bounds_from_header(header: &FrameHeader) -> Aabb {
     let half = Vec3::splat(radius_from_header(header));
     Aabb { min: -half, max: half }
 }
 
-/// A camera on the sphere around the centre of a stored frame's volume. Without a distance it is as far away as the
-/// frame's own.
+/// A camera around a stored frame's volume. Without a distance it is as far away as the frame's own.
 pub fn orbit_of_frame(orbit: &Orbit, intrinsics: Intrinsics, header: &FrameHeader) -> Camera {
     let radius = radius_from_header(header);
     let distance = orbit.distance_in_radii.map_or_else(|| header.camera.pose.eye.length(), |d| d * radius);
     Camera::new(orbit.pose_at(Vec3::ZERO, distance), intrinsics, &sphere_box_from_header(header))
 }
 
-/// A box with the bounding sphere of the volume that a frame was made of: the cube inside it. The volume's own box may
-/// reach beyond its sides.
+/// The cube inside the bounding sphere of a frame's volume. The volume's own box may reach beyond its sides.
 pub fn sphere_box_from_header(header: &FrameHeader) -> Aabb {
     let half = Vec3::splat(radius_from_header(header) / 3f32.sqrt());
     Aabb { min: -half, max: half }
 }
 
-/// Farther away no picture has anything in it.
+/// Pictures from farther away are empty.
 const MAX_DISTANCE_IN_RADII: f32 = 1e4;
 
 #[cfg(test)]

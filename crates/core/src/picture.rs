@@ -1,4 +1,4 @@
-//! A picture: premultiplied linear RGBA in floats, and its way to 8-bit sRGB.
+//! Pictures in premultiplied linear RGBA, and their conversion to 8-bit sRGB.
 
 /// Premultiplied linear RGBA, row by row from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,7 +17,7 @@ impl Picture {
         Self { width, height, pixels: vec![[0.0; 4]; width as usize * height as usize] }
     }
 
-    /// The same without `margin` pixels on every side; a picture that is not larger than that comes out empty.
+    /// The same without `margin` pixels on every side; empty if the picture is not larger than that.
     pub fn cropped(&self, margin: u32) -> Self {
         let less = |side: u32| side.saturating_sub(2 * margin);
         let mut inner = Self::new(less(self.width), less(self.height));
@@ -28,7 +28,7 @@ impl Picture {
         inner
     }
 
-    /// The picture over an opaque linear background, encoded as 8-bit sRGB, three bytes a pixel.
+    /// The picture over an opaque linear background, encoded as 8-bit sRGB, three bytes per pixel.
     pub fn to_srgb8(&self, background: [f32; 3]) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.pixels.len() * 3);
         for p in &self.pixels {

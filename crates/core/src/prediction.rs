@@ -1,15 +1,14 @@
-//! Where the camera will be when the frame that is asked for now is shown.
+//! Predicts the camera at the time when the frame that is requested now will be shown.
 //!
-//! A camera in a hand turns about the volume, shifts across it and comes nearer. So a pose is taken apart as the
-//! viewer's controls do: the rotation, and the place of the eye from the centre of the volume in view space. Both have
-//! a velocity, fitted over the last tenth of a second. It is carried on until the frame is shown, with two doubts:
+//! A user turns the camera about the volume, shifts across it and moves closer. So a pose is split as the viewer's
+//! controls do: into the rotation, and the eye's position relative to the volume's centre in view space. Both have a
+//! velocity, fitted over recent samples and extrapolated until the frame is shown, with two corrections:
+//! - A hand that slows down is about to stop: the speed keeps falling at its rate, but not below zero.
+//! - Predictability depends on the hand and the delay. Each forecast is compared with its outcome. New ones are
+//!   scaled by the factor, at most 1, that would have fitted the last second best (least squares). A steady turn has
+//!   a factor of 1; forecasts no better than chance get 0, which means no prediction.
 //!
-//! - A hand that slows down is about to stop: the speed falls as it has been falling, and not below zero.
-//! - How far hands can be foreseen depends on the hand and on the delay. Every forecast is held against what came of it,
-//!   and new ones are scaled by the factor, at most 1, that would have served the last second best (least squares). A
-//!   steady turn has a factor of 1; where forecasts are no better than chance it falls to 0, which is no prediction.
-//!
-//! A camera that rests is never moved: its pose is returned to the bit.
+//! A camera at rest is never moved: its pose is returned to the bit.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -18,40 +17,40 @@ use glam::{Quat, Vec3};
 
 use crate::camera::Pose;
 
-/// Foresees the pose of one camera. Call [`Predictor::observe`] with every pose that is shown, in the order of time;
-/// [`Predictor::note_shown`] whenever a frame is on the screen for the first time.
+/// Predicts the pose of one camera. Call [`Predictor::observe`] for every displayed pose in order of time, and
+/// [`Predictor::note_shown`] whenever a frame first appears on the screen.
 #[derive(Clone, Debug, Default)]
 pub struct Predictor {
     center: Vec3,
-    samples: VecDeque<Sample>,
+    samples: VecDeque<Observation>,
     moved_at: Duration,
-    /// Sums over the last second or so of forecast · outcome and forecast · forecast, radians squared.
+    /// Sums over about a second of forecast · outcome and forecast · forecast, radians squared.
     agreement: f32,
     forecasts: f32,
     horizon: Horizon,
 }
 
-/// A pose that was shown.
+/// A displayed pose.
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct Observation {
     at: Duration,
     pose: Pose,
     /// Eye minus centre, view space.
     place: Vec3,
-    velocity: Motion,
-    /// How far the camera was expected to move, and until when; none once it was scored.
-    forecast: Option<(Motion, Duration)>,
+    velocity: CameraMotion,
+    /// The expected motion and its end time; `None` once it was scored.
+    forecast: Option<(CameraMotion, Duration)>,
 }
 
 /// A turn about the view's own axes, radians, and a shift of the eye along them, in units of its distance from the
-/// centre: so both say by what angle the picture of the volume moves.
+/// centre. Both are angles by which the volume's picture moves.
 #[derive(Clone, Copy, Debug, Default)]
-struct Motion {
+struct CameraMotion {
     turn: Vec3,
     shift: Vec3,
 }
 
-impl Motion {
+impl CameraMotion {
     fn plus(self, other: Self) -> Self {
         Self { turn: self.turn + other.turn, shift: self.shift + other.shift }
     }
@@ -70,17 +69,18 @@ impl Motion {
 }
 
 impl Predictor {
-    /// The camera is at `pose` now; `center` is that of the volume.
+    /// The camera is now at `pose`; `center` is that of the volume.
     pub fn observe(&mut self, now: Duration, pose: Pose, center: Vec3) {
         let place = pose.world_from_view.inverse() * (pose.eye - center);
-        let mut sample = Sample { at: now, pose, place, velocity: Motion::default(), forecast: None };
+        let mut sample =
+            Observation { at: now, pose, place, velocity: CameraMotion::default(), forecast: None };
         let is_same_hand = center == self.center
             && self
                 .samples
                 .back()
                 .is_none_or(|last| now >= last.at && sample.motion_from(last).length() < JUMP);
         if !is_same_hand {
-            // Another volume, a reset, a clock that ran backwards: nothing before has to do with it.
+            // After another volume, a reset or a clock that ran backwards, older samples are meaningless.
             *self = Self { center, horizon: self.horizon, ..Self::default() };
         }
         if self.samples.back().is_none_or(|last| last.pose != pose) {
@@ -99,12 +99,12 @@ impl Predictor {
         }
     }
 
-    /// A frame that was asked for at `asked_at` is on the screen now for the first time.
+    /// A frame that was requested at `asked_at` is now on the screen for the first time.
     pub fn note_shown(&mut self, now: Duration, asked_at: Duration) {
         self.horizon.note(now, asked_at);
     }
 
-    /// From the wish for a frame to the middle of the time that it is on the screen.
+    /// Time from the request for a frame to the middle of its display.
     pub fn horizon(&self) -> Duration {
         self.horizon.length()
     }
@@ -114,8 +114,7 @@ impl Predictor {
         self.samples.back().is_none_or(|last| last.at.saturating_sub(self.moved_at) >= STILL)
     }
 
-    /// The pose to ask for: where the camera, observed just now, will be at the end of the horizon. None before the
-    /// first observation.
+    /// The pose to request: the predicted camera at the end of the horizon. `None` before the first observation.
     pub fn predict(&self) -> Option<Pose> {
         self.pose_after(self.gain())
     }
@@ -127,7 +126,7 @@ impl Predictor {
 
     fn pose_after(&self, gain: f32) -> Option<Pose> {
         let last = self.samples.back()?;
-        let motion = last.forecast.map_or(Motion::default(), |(motion, _)| motion.scaled(gain));
+        let motion = last.forecast.map_or(CameraMotion::default(), |(motion, _)| motion.scaled(gain));
         if self.is_resting() || motion.length() == 0.0 {
             return Some(last.pose);
         }
@@ -137,13 +136,13 @@ impl Predictor {
         Some(if pose.is_valid() { pose } else { last.pose })
     }
 
-    /// The factor that would have served the forecasts of the last second best.
+    /// The factor that would have fitted the forecasts of the last second best.
     fn gain(&self) -> f32 {
         ((self.agreement + PRIOR) / (self.forecasts + PRIOR)).clamp(0.0, 1.0)
     }
 
-    /// Holds the forecasts that end now against where the camera is.
-    fn score(&mut self, now: &Sample) {
+    /// Compares the forecasts that end now with the camera.
+    fn score(&mut self, now: &Observation) {
         let Some(before) = self.samples.back().copied() else { return };
         let interval = now.at.saturating_sub(before.at).as_secs_f32();
         let keep = (-interval / MEMORY_SECONDS).exp();
@@ -154,11 +153,11 @@ impl Predictor {
                 continue;
             };
             let began = self.samples[i];
-            // Between the observations before and after its end.
+            // Interpolates between the observations before and after its end.
             let after = (now.at - due).as_secs_f32() / interval.max(f32::MIN_POSITIVE);
             let (last, next) = (before.motion_from(&began), now.motion_from(&began));
             let outcome = last.scaled(after.min(1.0)).plus(next.scaled(1.0 - after.min(1.0)));
-            // As many observations a second as there are, they weigh alike.
+            // Weights do not depend on the rate of observations.
             let weight = interval.min(1.0 / PRIOR_RATE) * PRIOR_RATE;
             self.agreement += weight * forecast.dot(outcome);
             self.forecasts += weight * forecast.dot(forecast);
@@ -166,36 +165,36 @@ impl Predictor {
         }
     }
 
-    /// Least squares over the last [`WINDOW`], or over the last three observations where they come more slowly.
-    fn velocity(&self, now: &Sample) -> Motion {
+    /// The velocity by least squares over the last [`WINDOW`], or over three observations if they are slow.
+    fn velocity(&self, now: &Observation) -> CameraMotion {
         let recent = self.samples.iter().rev().enumerate().take_while(|(i, s)| {
             let age = now.at.saturating_sub(s.at);
             age <= WINDOW || (*i < 3 && age <= LONGEST_WINDOW)
         });
-        let points: Vec<(f32, Motion)> =
+        let points: Vec<(f32, CameraMotion)> =
             recent.map(|(_, s)| (-now.at.saturating_sub(s.at).as_secs_f32(), s.motion_from(now))).collect();
         let mean = points.iter().map(|p| p.0).sum::<f32>() / points.len().max(1) as f32;
-        let (mut sum, mut squares) = (Motion::default(), 0.0);
+        let (mut sum, mut squares) = (CameraMotion::default(), 0.0);
         for (t, m) in &points {
             let dt = t - mean;
             sum = sum.plus(m.scaled(dt));
             squares += dt * dt;
         }
-        if squares > 1e-9 { sum.scaled(1.0 / squares) } else { Motion::default() }
+        if squares > 1e-9 { sum.scaled(1.0 / squares) } else { CameraMotion::default() }
     }
 
-    /// How far the velocity of `now` carries until the end of the horizon.
-    fn carried_on(&self, now: &Sample) -> Motion {
+    /// The motion from `now` to the end of the horizon.
+    fn carried_on(&self, now: &Observation) -> CameraMotion {
         let horizon = self.horizon.length().as_secs_f32();
         let speed = now.velocity.length();
         if speed == 0.0 {
-            return Motion::default();
+            return CameraMotion::default();
         }
         let direction = now.velocity.scaled(1.0 / speed);
         let earlier = self.samples.iter().rev().find(|s| now.at.saturating_sub(s.at) >= SLOWING_OVER);
         let slowing = earlier
             .map_or(0.0, |e| (e.velocity.dot(direction) - speed) / now.at.saturating_sub(e.at).as_secs_f32());
-        // A speed that was slower before says nothing of how long it will go on growing.
+        // A growing speed does not say how long it will go on growing.
         let slowing = slowing.max(0.0);
         let until = horizon.min(if slowing > 0.0 { speed / slowing } else { f32::INFINITY });
         let length = speed * until - 0.5 * slowing * until * until;
@@ -203,18 +202,18 @@ impl Predictor {
     }
 }
 
-impl Sample {
-    /// What moved the camera from `before` to here.
-    fn motion_from(&self, before: &Self) -> Motion {
+impl Observation {
+    /// The motion from `before` to here.
+    fn motion_from(&self, before: &Self) -> CameraMotion {
         let turn = before.pose.world_from_view.inverse() * self.pose.world_from_view;
-        // Of the two quaternions of a rotation the one of the shorter way.
+        // Of the two quaternions of a rotation, this is the shorter way.
         let turn = if turn.w < 0.0 { -turn } else { turn };
         let distance = before.place.length().max(f32::MIN_POSITIVE);
-        Motion { turn: turn.to_scaled_axis(), shift: (self.place - before.place) / distance }
+        CameraMotion { turn: turn.to_scaled_axis(), shift: (self.place - before.place) / distance }
     }
 }
 
-/// How long a wish takes to be on the screen, measured on one clock and smoothed.
+/// Time from a request to the screen, measured on one clock and smoothed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Horizon {
     delay_seconds: Option<f32>,
@@ -229,7 +228,7 @@ impl Horizon {
         };
         smooth(&mut self.delay_seconds, now.saturating_sub(asked_at).as_secs_f32().min(MAX_HORIZON_SECONDS));
         let interval = self.shown_at.map(|before| now.saturating_sub(before).as_secs_f32());
-        // A longer pause is one of the hand and not of the server.
+        // A longer pause is caused by the user and not by the server.
         if let Some(interval) = interval.filter(|i| *i < MAX_HORIZON_SECONDS) {
             smooth(&mut self.interval_seconds, interval);
         }
@@ -242,31 +241,31 @@ impl Horizon {
     }
 }
 
-/// Velocities are fitted over so much time. On simulated drags, scrubs and turns 50 ms is 5 % better and 120 ms 5 %
-/// worse in degrees; a real mouse is rougher than those.
+/// Time over which velocities are fitted. On simulated drags, scrubs and turns 50 ms is 5 % better and 120 ms 5 %
+/// worse in degrees; a real mouse is noisier.
 const WINDOW: Duration = Duration::from_millis(80);
-/// The same where the display is slow.
+/// The same for a slow display.
 const LONGEST_WINDOW: Duration = Duration::from_millis(250);
-/// A slower speed is seen against that of so long ago.
+/// A slowing speed is compared with that of this time ago.
 const SLOWING_OVER: Duration = Duration::from_millis(60);
-/// A pose that has stayed for so long rests: two refreshes at 60 Hz and one at 30 Hz. Shorter, and a slow hand rests
-/// between its events; longer, and a frame is made for a pose that nobody will see.
+/// A pose that stays for this time is at rest: two refreshes at 60 Hz and one at 30 Hz. Less would take a slow hand
+/// for one at rest; more would request frames for poses that nobody sees.
 pub const STILL: Duration = Duration::from_millis(24);
-/// Forecasts are remembered for so long. Between half a second and two, errors differ by 1 %.
+/// Memory of forecasts. Between half a second and two, errors differ by 1 %.
 const MEMORY_SECONDS: f32 = 1.0;
-/// Trust in forecasts before any was scored, radians squared: that of one forecast of 10°.
+/// Initial trust in forecasts, radians squared: that of one forecast of 10°.
 const PRIOR: f32 = 0.03;
-/// The trust is for observations at this rate, a second.
+/// Rate of observations that the trust is based on, per second.
 const PRIOR_RATE: f32 = 30.0;
-/// No forecast is longer, radians: 45°.
+/// Longest forecast, radians: 45°.
 const MAX_MOTION: f32 = 0.785;
-/// No forecast is for later.
+/// Longest horizon, s.
 const MAX_HORIZON_SECONDS: f32 = 1.0;
-/// A step from one refresh to the next that no hand makes, radians.
+/// Motion between refreshes that no hand makes, radians.
 const JUMP: f32 = 0.6;
 /// Weight of the newest measurement of a delay.
 const SMOOTHING: f32 = 0.25;
-/// Observations that are kept: at 60 Hz two seconds' worth, longer than any horizon.
+/// Number of observations that are kept: two seconds' worth at 60 Hz, longer than any horizon.
 const MAX_SAMPLES: usize = 128;
 
 #[cfg(test)]

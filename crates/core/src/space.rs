@@ -29,9 +29,9 @@ impl Ray {
     }
 }
 
-/// The rotation from upright to world space of a volume whose axes point to `letters`, such as `RAS`: a body's superior side is
-/// up and its anterior side in front. Without letters, or with some that do not name one end of each axis of a body, up is y
-/// and z points to the front.
+/// The rotation from upright to world space for axes that point to `letters`, such as `RAS`: a body's superior side
+/// is up and its anterior side in front. Without letters that name one end of each axis, up is y and z points to the
+/// front.
 pub fn world_from_upright(letters: Option<&str>) -> Quat {
     letters.and_then(upright_body).unwrap_or(Quat::IDENTITY)
 }
@@ -60,7 +60,7 @@ pub struct Aabb {
     pub max: Vec3,
 }
 
-/// A box as it is written.
+/// Serialized form of a box.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Corners {
     min: [f32; 3],
@@ -119,7 +119,7 @@ pub fn safe_dir(dir: Vec3) -> Vec3 {
     Vec3::new(fix(dir.x), fix(dir.y), fix(dir.z))
 }
 
-/// Smallest magnitude of a direction component that is divided by.
+/// Least magnitude of a direction component that is divided by.
 const TINY_DIR: f32 = 1e-9;
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! One-dimensional transfer functions: from control points to the table that every kernel classifies with.
 //!
-//! Classification is pre-integrated (Max 1995; Engel 2001 in its one-table form): the table holds the running
-//! integrals K(x) = ∫σc dx and T(x) = ∫σ dx over the scalar, so a step of length h whose ends read x0 and x1 has
-//! τ = h·(T(x1) − T(x0))/(x1 − x0) and colour (K(x1) − K(x0))/(T(x1) − T(x0)). Thin shells between two samples are
-//! therefore never missed, and any step length has the right opacity (design, trap 9). Colour is averaged with the
-//! weight σ within a step; attenuation inside the step acts on that average.
+//! Classification is pre-integrated (Max 1995; Engel 2001 in its one-table form). The table holds the running integrals
+//! K(x) = ∫σc dx and T(x) = ∫σ dx over the scalar. A step of length h whose ends read x0 and x1 has
+//! τ = h·(T(x1) − T(x0))/(x1 − x0) and colour (K(x1) − K(x0))/(T(x1) − T(x0)). So no thin shell between two samples is
+//! missed, and any step length has the right opacity. Within a step, colour is averaged with the weight σ, and
+//! attenuation acts on that average.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,19 +21,19 @@ pub struct ControlPoint {
     pub opacity: f32,
 }
 
-/// Which physical values the positions 0 and 1 stand for.
+/// The physical values of the positions 0 and 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Domain {
     /// Least and greatest value of the volume.
     Full,
-    /// Two values.
+    /// Two given values.
     Values(f32, f32),
     /// Two percentiles of the volume's histogram, 0 to 100.
     Percentiles(f32, f32),
 }
 
-/// The thickness that the opacity of a control point speaks of.
+/// The thickness of matter that a control point's opacity refers to.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum UnitLength {
@@ -45,7 +45,7 @@ pub enum UnitLength {
     Radius(f32),
 }
 
-/// A transfer function as written by a person.
+/// A transfer function as a user writes it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TransferFunction {
     /// Name of the preset or file.
@@ -79,7 +79,7 @@ pub enum TransferError {
     Range {
         /// Number of the point, from 0.
         index: usize,
-        /// Which number.
+        /// Name of the number.
         what: &'static str,
         /// Its value.
         value: f32,
@@ -93,7 +93,7 @@ pub enum TransferError {
 }
 
 impl TransferFunction {
-    /// Checks what the type cannot say.
+    /// Checks what the type cannot express.
     pub fn validate(&self) -> Result<(), TransferError> {
         if self.points.is_empty() || self.points.len() > MAX_POINTS {
             return Err(TransferError::Count(self.points.len()));
@@ -129,7 +129,7 @@ impl TransferFunction {
         }
     }
 
-    /// Linear colour and opacity at position `x`; outside of the points the end point holds.
+    /// Linear colour and opacity at position `x`; beyond the points the end points continue.
     pub fn at(&self, x: f32) -> ([f32; 3], f32) {
         let linear = |p: &ControlPoint| p.color.map(linear_from_srgb);
         let after = self.points.partition_point(|p| p.x <= x);
@@ -145,8 +145,8 @@ impl TransferFunction {
         (mix.map(linear_from_srgb), a.opacity + (b.opacity - a.opacity) * t)
     }
 
-    /// Linear colour that a projection shows of position `x`, premultiplied: the colour there, its sRGB dimmed by the
-    /// opacity there over the greatest of the function. So a ramp of opacity is an even ramp on the screen.
+    /// Linear colour that a projection shows for position `x`, premultiplied. It is the colour there, with its sRGB
+    /// dimmed by the opacity relative to the function's greatest. So a ramp of opacity is an even ramp on the screen.
     pub fn shown(&self, x: f32) -> [f32; 3] {
         let greatest = self.points.iter().map(|p| p.opacity).fold(0.0, f32::max);
         if greatest <= 0.0 {
@@ -161,7 +161,7 @@ impl TransferFunction {
         let medium = |x: f32| -> [f64; 4] {
             let (c, opacity) = self.at(x);
             let sigma = -f64::from(1.0 - opacity.min(MAX_OPACITY)).ln() / f64::from(unit_length);
-            // Beyond any use, and products of it stay numbers.
+            // This is more than any use needs, and products with it stay finite.
             let sigma = sigma.min(MAX_EXTINCTION);
             [sigma * f64::from(c[0]), sigma * f64::from(c[1]), sigma * f64::from(c[2]), sigma]
         };
@@ -191,22 +191,22 @@ pub(crate) fn integrated(medium: impl Fn(f32) -> [f64; 4], x_map: (f32, f32)) ->
     TransferTable { integral, density, x_scale: x_map.0, x_offset: x_map.1 }
 }
 
-/// A transfer function made ready for one volume: [`TABLE_BINS`] + 1 nodes over x in [0, 1], where
-/// x = stored·`x_scale` + `x_offset`, clamped.
+/// A transfer function prepared for one volume: [`TABLE_BINS`] + 1 nodes over x in [0, 1], where x = stored·`x_scale`
+/// + `x_offset`, clamped.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TransferTable {
     /// Running integrals over x: (K red, K green, K blue, T); extinctions per world unit.
     pub integral: Vec<[f32; 4]>,
     /// The integrands at the nodes: (σc red, green, blue, σ).
     pub density: Vec<[f32; 4]>,
-    /// From stored numbers to x.
+    /// Maps stored numbers to x, with `x_scale` and `x_offset`.
     pub x_scale: f32,
-    /// From stored numbers to x.
+    /// Maps stored numbers to x, with `x_scale` and `x_offset`.
     pub x_offset: f32,
 }
 
 impl TransferTable {
-    /// Whether a sample between the stored numbers `lo` and `hi` can have any extinction. Errs on the side of yes.
+    /// Whether a sample between the stored numbers `lo` and `hi` can have any extinction; it errs on the side of yes.
     pub fn is_visible(&self, lo: f32, hi: f32) -> bool {
         let (a, b) = self.positions(lo, hi);
         self.has_any(a.clamp(0.0, 1.0), b.clamp(0.0, 1.0))
@@ -218,7 +218,7 @@ impl TransferTable {
         (x(lo).min(x(hi)), x(lo).max(x(hi)))
     }
 
-    /// Whether there is anything between two positions in [0, 1]. Errs on the side of yes.
+    /// Whether there is anything between two positions in [0, 1]; it errs on the side of yes.
     pub fn has_any(&self, a: f32, b: f32) -> bool {
         let (a, b) = (a * TABLE_BINS as f32, b * TABLE_BINS as f32);
         let (a, b) = ((a - 1e-3).max(0.0) as usize, ((b + 1e-3).ceil() as usize).min(TABLE_BINS));
@@ -230,12 +230,12 @@ impl TransferTable {
 pub const TABLE_BINS: usize = 1024;
 /// Largest number of control points.
 pub const MAX_POINTS: usize = 256;
-/// An opacity of one has no extinction; this is what it is read as (design, trap 4).
+/// An opacity of one has no finite extinction, so it counts as this.
 pub const MAX_OPACITY: f32 = 0.9999;
-/// The extinction of all matter is at most this, per unit of length: opaque matter in voxels of an ångström, in metres, has
-/// 1e11, and over the longest ray that can be (1e16) the optical depth stays finite.
+/// Greatest extinction, per unit of length. Opaque matter in voxels of an ångström, in metres, has 1e11. Over the
+/// longest possible ray (1e16) the optical depth stays finite.
 const MAX_EXTINCTION: f64 = 1e20;
-/// Midpoint evaluations a bin when integrating.
+/// Midpoint evaluations per bin when integrating.
 const SUBDIVISIONS: usize = 8;
 
 #[cfg(test)]

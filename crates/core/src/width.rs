@@ -1,10 +1,10 @@
-//! Functions compiled several times: as every machine can run them, and with wider instructions for those that have them.
+//! Functions compiled several times: for every machine, and with wider instructions where the processor has them.
 
 #[cfg(target_arch = "x86_64")]
 use std::sync::LazyLock;
 
-/// Defines a function by one that is always inlined, for each [`Width`]. No multiplication is fused with an addition, so the
-/// bits are the same.
+/// Defines a function that is compiled for each [`Width`], from one that is always inlined. No multiplication is
+/// fused with an addition, so the bits are the same.
 macro_rules! wide {
     ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $out:ty)? = $any:path;) => {
         $(#[$meta])*
@@ -23,9 +23,9 @@ macro_rules! wide {
                 }
                 #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
                 match width() {
-                    // SAFETY: this processor has them.
+                    // SAFETY: the processor supports these instructions.
                     Width::Avx512 => return unsafe { with_avx512($($arg),*) },
-                    // SAFETY: this processor has them.
+                    // SAFETY: the processor supports these instructions.
                     Width::Avx2 => return unsafe { with_avx2($($arg),*) },
                     Width::Any => {}
                 }
@@ -35,19 +35,19 @@ macro_rules! wide {
     };
 }
 
-/// How wide instructions are.
+/// Width of vector instructions.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Width {
-    /// As on every machine.
+    /// What every machine has.
     Any,
     /// 32 bytes.
     Avx2,
-    /// 64 bytes, each lane on a condition.
+    /// 64 bytes, with masked lanes.
     Avx512,
 }
 
-/// The widest that functions of [`wide`] run with.
+/// The widest instructions that functions of [`wide`] use.
 #[cfg(target_arch = "x86_64")]
 #[inline]
 pub(crate) fn width() -> Width {
@@ -57,13 +57,13 @@ pub(crate) fn width() -> Width {
     of_machine()
 }
 
-/// The widest that this machine has.
+/// The widest instructions of this machine.
 #[cfg(target_arch = "x86_64")]
 #[inline]
 fn of_machine() -> Width {
     static OF_MACHINE: LazyLock<Width> = LazyLock::new(|| {
         use std::arch::is_x86_feature_detected as has;
-        // Only with others that came years later, on processors that do not slow down for wide ones.
+        // The extra features appeared on later processors, which do not slow down for wide instructions.
         let is_late = has!("avx512vbmi2") && has!("bmi1") && has!("bmi2") && has!("lzcnt") && has!("popcnt");
         if is_late && has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl") {
             Width::Avx512
@@ -76,7 +76,7 @@ fn of_machine() -> Width {
     *OF_MACHINE
 }
 
-/// Whether this processor has the instructions of functions called `_avx2`.
+/// Whether the processor supports functions called `_avx2`.
 pub(crate) fn has_avx2() -> bool {
     #[cfg(target_arch = "x86_64")]
     return std::arch::is_x86_feature_detected!("avx2");

@@ -17,6 +17,7 @@ use isinglass_core::codec::{CodecError, EncodedFrame, HEADER_BYTES, MAX_CHUNK_BY
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 
+use crate::error::FormatError;
 use crate::output::write_whole;
 
 /// Why a layered frame could not be read or written.
@@ -75,9 +76,8 @@ pub struct Origin {
 ///
 /// # Errors
 /// The system refuses to write the file.
-pub fn write(path: &Path, encoded: &EncodedFrame, origin: &Origin) -> Result<(), IglfError> {
-    let io = |cause| IglfError::Io { path: path.display().to_string(), cause };
-    write_whole(path, &to_bytes(encoded, origin)).map_err(io)
+pub fn write(path: &Path, encoded: &EncodedFrame, origin: &Origin) -> Result<(), FormatError> {
+    write_whole(path, &to_bytes(encoded, origin))
 }
 
 /// Reads a frame with all its chunks. Memory is bounded by the size of the file and the limits of the codec.

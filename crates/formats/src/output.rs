@@ -6,25 +6,29 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
+use crate::error::{FormatError, io_error};
+
 /// Writes `bytes` to `path` through a file beside it that is renamed at the end: a reader sees the old file or the new
 /// one. A link is followed, and a device or pipe is written to directly.
 ///
 /// # Errors
 /// If the system refuses. The old file then stays, and no other is left.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let path = resolved(path);
-    let Some(mut file) = file_beside(&path)? else { return fs::write(&path, bytes) };
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(&path).map(drop).map_err(|e| e.error)
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FormatError> {
+    let write = |path: PathBuf| {
+        let Some(mut file) = file_beside(&path)? else { return fs::write(&path, bytes) };
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        file.persist(&path).map(drop).map_err(|e| e.error)
+    };
+    write(resolved(path)).map_err(io_error(path))
 }
 
 /// Whether [`write_whole`] can make its file. Call it before long work whose result would be lost.
 ///
 /// # Errors
 /// If the path is a folder, or its folder takes no files.
-pub fn check_writable(path: &Path) -> io::Result<()> {
-    file_beside(&resolved(path)).map(drop)
+pub fn check_writable(path: &Path) -> Result<(), FormatError> {
+    file_beside(&resolved(path)).map(drop).map_err(io_error(path))
 }
 
 /// The file that a link names.

@@ -1,9 +1,46 @@
-//! Encodes pictures as PNG files in memory.
+//! Pictures of 8 bits a channel, and PNG files of them.
 
 use std::io::Cursor;
+use std::path::Path;
 
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
+use isinglass_core::picture::{Picture, linear_from_srgb};
+
+use crate::error::FormatError;
+use crate::output::write_whole;
+
+/// A picture in 8-bit sRGB, row by row from the top.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rgb8 {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Three bytes for each pixel.
+    pub bytes: Vec<u8>,
+}
+
+impl Rgb8 {
+    /// The picture on a background of 8-bit sRGB.
+    pub fn of(picture: &Picture, background: [u8; 3]) -> Self {
+        let linear = background.map(|c| linear_from_srgb(f32::from(c) / 255.0));
+        Self { width: picture.width, height: picture.height, bytes: picture.to_srgb8(linear) }
+    }
+
+    /// Writes a PNG file with [`write_whole`].
+    ///
+    /// # Errors
+    /// The number of bytes does not match the size, or the system refuses.
+    pub fn write(&self, path: &Path) -> Result<(), FormatError> {
+        let png = encode(self.width, self.height, &self.bytes).map_err(|e| FormatError::Malformed {
+            path: path.display().to_string(),
+            format: "PNG".into(),
+            problem: e.to_string(),
+        })?;
+        write_whole(path, &png)
+    }
+}
 
 /// Why a picture cannot be written.
 #[derive(Debug, thiserror::Error)]

@@ -1,7 +1,7 @@
-//! The pipelines that cast novel views into a colour target, one for each purpose.
+//! The pipelines that cast novel views into a colour target, one per purpose.
 //!
-//! Drivers compile each anew, which takes them up to seconds, so all that a viewer may need are made beforehand by a thread
-//! ([`crate::WarmUp`]). As long as that is at work a window waits for none: it casts with what there is.
+//! Drivers compile each anew, which takes up to seconds. So a thread makes all that a viewer may need beforehand
+//! ([`crate::WarmUp`]). Meanwhile a window never waits: it casts with the pipelines that exist.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -12,18 +12,18 @@ use crate::device::{CasterLayouts, shader_module};
 use crate::shaders::{Frames, Kernel, Purpose};
 use crate::view_pass::Channels;
 
-/// What pipelines are made of, and those that there are. Whoever makes them ahead of need holds it too.
+/// The sources of pipelines, and the finished ones. The thread that makes them ahead of need shares it.
 pub(crate) struct Casts {
     device: wgpu::Device,
     target: wgpu::TextureFormat,
-    /// Of one frame and of several.
+    /// Texts for one frame and for several.
     texts: [(wgpu::PipelineLayout, wgpu::ShaderModule); 2],
-    /// A dozen; found by looking at each.
+    /// A dozen pipelines, so a linear search is enough.
     made: Mutex<Vec<(Purpose, Channels, wgpu::RenderPipeline)>>,
 }
 
 impl Casts {
-    /// Without any. `view` is the layout of group 1.
+    /// Starts without pipelines. `view` is the layout of group 1.
     pub(crate) fn new(
         device: &wgpu::Device,
         target: wgpu::TextureFormat,
@@ -42,14 +42,14 @@ impl Casts {
         Self { device: device.clone(), target, texts, made: Mutex::default() }
     }
 
-    /// That of a purpose, if there is one.
+    /// The pipeline for a purpose, if it exists.
     pub(crate) fn get(&self, purpose: Purpose, channels: Channels) -> Option<wgpu::RenderPipeline> {
         let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
         let found = made.iter().find(|(p, c, _)| (*p, *c) == (purpose, channels));
         found.map(|(.., pipeline)| pipeline.clone())
     }
 
-    /// That of a purpose, made now if there is none.
+    /// The pipeline for a purpose, made now if necessary.
     pub(crate) fn get_or_make(&self, purpose: Purpose, channels: Channels) -> wgpu::RenderPipeline {
         self.get(purpose, channels).unwrap_or_else(|| {
             let pipeline = self.make(purpose, channels);
@@ -58,7 +58,7 @@ impl Casts {
         })
     }
 
-    /// From now on there is this one. Whoever makes it beforehand draws with it first.
+    /// Adds a pipeline. A thread that makes it ahead of need first draws with it.
     pub(crate) fn add(&self, purpose: Purpose, channels: Channels, pipeline: &wgpu::RenderPipeline) {
         if self.get(purpose, channels).is_none() {
             let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
@@ -66,7 +66,7 @@ impl Casts {
         }
     }
 
-    /// A new one.
+    /// Makes a new pipeline.
     pub(crate) fn make(&self, purpose: Purpose, channels: Channels) -> wgpu::RenderPipeline {
         let (layout, module) = &self.texts[purpose.frames as usize];
         let constants = Kernel::RaycastView(purpose, !self.target.is_srgb()).constants();
@@ -97,13 +97,13 @@ impl Casts {
         })
     }
 
-    /// Whether somebody makes pipelines ahead of need.
+    /// Whether another holder still makes pipelines ahead of need.
     pub(crate) fn are_coming(self: &Arc<Self>) -> bool {
         Arc::strong_count(self) > 1
     }
 }
 
-/// All that a viewer casts for, the soonest needed first.
+/// All purposes of a viewer, the most urgent first.
 pub(crate) fn purposes_of_viewers() -> impl Iterator<Item = Purpose> {
     let of = |compositing| {
         [Frames::One, Frames::Several]

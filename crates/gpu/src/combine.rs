@@ -1,6 +1,6 @@
-//! Layered frames kept on the GPU, and what is cast of them: one, or several at once. Kernel: `shaders/combine.wgsl`.
+//! Layered frames kept on the GPU, cast alone or together. Kernel: `shaders/combine.wgsl`.
 //!
-//! Each frame is uploaded once, to a slot of its own; which slots a picture is made of is a matter of a bind group.
+//! Each frame is uploaded once to a slot; a bind group selects the slots of a picture.
 
 use isinglass_core::kernels::combine::{MAX_FRAMES, band_of_newest};
 use isinglass_core::kernels::lens::View;
@@ -14,22 +14,22 @@ use crate::gpu_types::Combination;
 use crate::raycast::{FrameOnGpu, GridBuilder};
 use crate::shaders::{Frames, Purpose};
 
-/// Frames in slots, and those that are shown.
+/// Frames in slots, and the displayed ones.
 pub(crate) struct FramesOnGpu {
     layouts: CasterLayouts,
     builder: GridBuilder,
-    /// At least one.
+    /// All slots; at least one.
     slots: Vec<FrameOnGpu>,
-    /// The newest first; at least one.
+    /// Slots of the displayed frames, the newest first; at least one.
     shown: Vec<usize>,
-    /// Those of them that are cast together, and their group, if they are several.
+    /// The slots that are cast together and their group, if there are several.
     several: Option<(Vec<usize>, wgpu::BindGroup)>,
     combination: wgpu::Buffer,
     options: CastOptions,
 }
 
 impl FramesOnGpu {
-    /// One slot without a frame, which is shown.
+    /// Starts with one displayed slot without a frame.
     pub(crate) fn new(device: &wgpu::Device, layouts: &CasterLayouts, builder: GridBuilder) -> Self {
         let first = FrameOnGpu::new(device, layouts.of(Frames::One), builder.clone());
         Self {
@@ -48,8 +48,7 @@ impl FramesOnGpu {
         }
     }
 
-    /// Puts a frame into a slot. `bounds` is the box of the volume that it was made of. A frame that is refused leaves
-    /// the former one.
+    /// Uploads a frame to a slot. `bounds` is the box of its volume. A rejected frame leaves the former one.
     pub(crate) fn upload(
         &mut self,
         device: &wgpu::Device,
@@ -65,14 +64,14 @@ impl FramesOnGpu {
         let result = self.slots[slot].upload(device, queue, layout, frame, bounds);
         self.slots[slot].set_options(queue, &self.options);
         if self.shown.contains(&slot) {
-            // Its buffers may be others now.
+            // Its buffers may have changed.
             self.bind(device);
         }
         result
     }
 
-    /// Casts the frames of these slots from now on, the newest first; of the others, those that the device can bind
-    /// along with it. Slots without a frame are passed over.
+    /// Selects the slots to cast, the newest first. Empty slots are skipped, and older frames that the device cannot
+    /// bind as well.
     pub(crate) fn show(&mut self, device: &wgpu::Device, slots: &[usize]) {
         let slots: Vec<usize> =
             slots.iter().copied().filter(|&slot| slot < self.slots.len()).take(MAX_FRAMES).collect();
@@ -82,7 +81,7 @@ impl FramesOnGpu {
         }
     }
 
-    /// Group 0 of a kernel, for a draw in which nothing is seen; none if the device cannot bind it.
+    /// Group 0 of a kernel for a draw that shows nothing; `None` if the device cannot bind it.
     pub(crate) fn warm_up(&self, device: &wgpu::Device, frames: Frames) -> Option<wgpu::BindGroup> {
         let empty = FrameOnGpu::new(device, self.layouts.of(Frames::One), self.builder.clone());
         match frames {
@@ -97,7 +96,7 @@ impl FramesOnGpu {
         }
     }
 
-    /// How frames are cast from now on.
+    /// Sets how frames are cast.
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
         self.options = *options;
         for slot in &mut self.slots {
@@ -105,14 +104,14 @@ impl FramesOnGpu {
         }
     }
 
-    /// For pictures of these views.
+    /// Prepares pictures of these views.
     pub(crate) fn prepare(&self, queue: &wgpu::Queue, views: &[View]) {
         let Some((slots, _)) = &self.several else { return };
         let mut combination: Combination = bytemuck::Zeroable::zeroed();
         let layers: Vec<&FrameOnGpu> = slots.iter().map(|&slot| &self.slots[slot]).collect();
         for (n, layer) in layers.iter().enumerate() {
             let caster = layer.uniform();
-            // The widest margin: each box has that of its own frame.
+            // The widest margin, around the box of each frame.
             let (min, max) = if n == 0 {
                 (caster.bounds_min, caster.bounds_max)
             } else {
@@ -137,7 +136,7 @@ impl FramesOnGpu {
         queue.write_buffer(&self.combination, 0, bytemuck::bytes_of(&combination));
     }
 
-    /// What casts what is shown, and its group 0.
+    /// The current purpose and its group 0.
     pub(crate) fn cast(&self) -> (Purpose, &wgpu::BindGroup) {
         match &self.several {
             Some((_, group)) => (self.purpose(Frames::Several), group),
@@ -145,7 +144,7 @@ impl FramesOnGpu {
         }
     }
 
-    /// What stands in for that while there is no pipeline for several frames: the newest alone.
+    /// The fallback without a pipeline for several frames: the newest alone.
     pub(crate) fn cast_newest(&self) -> (Purpose, &wgpu::BindGroup) {
         (self.purpose(Frames::One), &self.slots[self.shown[0]].bind_group)
     }
@@ -166,7 +165,7 @@ impl FramesOnGpu {
         if older.is_empty() {
             return;
         }
-        // What is bound for frames that are not there is never read.
+        // Bindings of absent frames are never read.
         let unused = std::iter::repeat(&newest);
         let bound = std::iter::once(&newest).chain(&older).chain(unused).take(MAX_FRAMES);
         let mut resources = vec![self.combination.as_entire_binding()];

@@ -11,7 +11,7 @@ use crate::gpu_types::Band;
 use crate::pass_clock::PassClock;
 use crate::shaders::{Frames, Kernel, TexelKind};
 
-/// What is known of a device.
+/// Facts about a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GpuInfo {
     /// Name of the device.
@@ -20,7 +20,7 @@ pub struct GpuInfo {
     pub backend: String,
     /// Driver, with its version.
     pub driver: String,
-    /// Whether the "GPU" is a program on the CPU, such as lavapipe.
+    /// Whether the "GPU" runs on the CPU, such as lavapipe.
     pub is_software: bool,
 }
 
@@ -42,7 +42,7 @@ struct Shared {
     queue: wgpu::Queue,
     info: GpuInfo,
     layouts: Layouts,
-    /// A handful; found by looking at each.
+    /// A handful of pipelines, so a linear search is enough.
     pipelines: Mutex<Vec<(Kernel, &'static str, wgpu::ComputePipeline)>>,
     lost: Arc<Mutex<Option<String>>>,
     device_type: wgpu::DeviceType,
@@ -89,7 +89,7 @@ impl CasterLayouts {
 }
 
 impl Gpu {
-    /// Opens the best device that opens: discrete before integrated before software. Without any this is an error.
+    /// Opens the best working device: discrete before integrated before software. Without any this is an error.
     pub fn open() -> Result<Self, GpuError> {
         let mut problem = None;
         for adapter in adapters()? {
@@ -97,7 +97,7 @@ impl Gpu {
                 Ok(gpu) => return Ok(gpu),
                 Err(e) => {
                     tracing::info!("{e}");
-                    // Why the best of them did not is what to tell.
+                    // The error of the best device is the one to report.
                     problem.get_or_insert(e);
                 }
             }
@@ -140,17 +140,17 @@ impl Gpu {
         Ok(Self { shared: Arc::new(shared) })
     }
 
-    /// What is known of the device.
+    /// Facts about the device.
     pub fn info(&self) -> &GpuInfo {
         &self.shared.info
     }
 
-    /// Whether the device is gone: nothing can be done with it any more, but another can be opened.
+    /// Whether the device is lost: it is useless, but another can be opened.
     pub fn is_lost(&self) -> bool {
         self.shared.lost.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
-    /// The device itself, for passes that are not of this crate.
+    /// The device, for passes outside this crate.
     pub fn device(&self) -> &wgpu::Device {
         &self.shared.device
     }
@@ -160,7 +160,7 @@ impl Gpu {
         &self.shared.queue
     }
 
-    /// None if the adapter has no timestamps.
+    /// `None` if the adapter has no timestamps.
     pub(crate) fn pass_clock(&self) -> Option<&PassClock> {
         self.shared.pass_clock.as_ref()
     }
@@ -169,7 +169,7 @@ impl Gpu {
         &self.shared.layouts
     }
 
-    /// Runs `body`; what the device reports meanwhile becomes its error.
+    /// Runs `body`; errors that the device reports meanwhile become its error.
     pub(crate) fn attempt<T>(
         &self,
         what: &'static str,
@@ -209,7 +209,7 @@ impl Gpu {
             Kernel::Generate(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.generate)],
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
-            // Pipelines of vertices and fragments are their owners'.
+            // Owners make their pipelines of vertices and fragments.
             Kernel::Upscale | Kernel::RaycastView(..) => &[],
             Kernel::RaycastCompute(purpose) => {
                 &[Some(layouts.caster.of(purpose.frames)), Some(&layouts.picture)]
@@ -218,7 +218,7 @@ impl Gpu {
         compute_pipeline(self.device(), kernel, entry, groups)
     }
 
-    /// Runs another text in the place of a kernel's own from now on.
+    /// Replaces the text of a kernel.
     #[cfg(test)]
     pub(crate) fn replace(&self, kernel: Kernel, entry: &'static str, text: &str) {
         let layouts = self.layouts();
@@ -231,19 +231,19 @@ impl Gpu {
             .insert(0, (kernel, entry, pipeline));
     }
 
-    /// Pixels that one dispatch may work on, of which none takes more than `steps`: short enough for the watchdogs of window
-    /// systems, long enough to fill a device.
+    /// Most pixels of one dispatch whose pixels take at most `steps` each. It is short enough for the watchdogs of
+    /// window systems and long enough to fill a device.
     pub(crate) fn max_dispatch_pixels(&self, steps: u32) -> u32 {
         let (most, most_steps) = match self.shared.device_type {
             wgpu::DeviceType::Cpu => return 1 << 16,
-            // Some ten thousand million texels a second, eight and more a step, against watchdogs of two seconds.
+            // A discrete GPU reads some 10¹⁰ texels a second, at least eight per step; watchdogs allow two seconds.
             wgpu::DeviceType::DiscreteGpu => (1 << 20, STEPS_OF_DISCRETE),
             _ => (1 << 20, STEPS_OF_OTHERS),
         };
         (most_steps / steps.max(1)).clamp(LEAST_DISPATCH, most)
     }
 
-    /// An error if pictures of several frames cannot be made in a buffer.
+    /// Returns an error if the device cannot cast several frames into a buffer.
     pub fn check_combining(&self) -> Result<(), GpuError> {
         let limit = self.device().limits().max_storage_buffers_per_shader_stage.into();
         let needed = u64::from(NUM_BUFFERS_OF_FRAMES) + 1;
@@ -251,12 +251,12 @@ impl Gpu {
         if needed > limit { Err(GpuError::TooLarge { what, needed, limit }) } else { Ok(()) }
     }
 
-    /// An error if a storage buffer of `bytes` cannot be bound.
+    /// Returns an error if a storage buffer of `bytes` cannot be bound.
     pub(crate) fn check_binding(&self, what: &'static str, bytes: u64) -> Result<(), GpuError> {
         check_binding(self.device(), what, bytes)
     }
 
-    /// A buffer that kernels read and write, and copies can leave and reach.
+    /// A buffer that kernels read and write, and that copies can read and write.
     pub(crate) fn storage(&self, label: &'static str, bytes: u64) -> wgpu::Buffer {
         buffer(self.device(), label, bytes, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC)
     }
@@ -303,7 +303,7 @@ impl Layouts {
     }
 }
 
-/// These limits, with buffers as large as the adapter offers and a frame can need.
+/// These limits with buffers as large as a frame needs and the adapter offers.
 pub fn with_large_buffers(limits: wgpu::Limits, offered: &wgpu::Limits) -> wgpu::Limits {
     let within = |default: u64, offered: u64| offered.min(LARGEST_BUFFER).max(default);
     wgpu::Limits {
@@ -316,11 +316,11 @@ pub fn with_large_buffers(limits: wgpu::Limits, offered: &wgpu::Limits) -> wgpu:
     }
 }
 
-/// Nothing came back from a device that is lost.
+/// A lost device does not answer.
 #[derive(Debug)]
 pub struct NoAnswer;
 
-/// Asks a device how far it is. A device that is lost while it is asked makes wgpu panic: here that is told.
+/// Polls a device. wgpu panics if the device is lost meanwhile; here that becomes an error.
 pub fn poll(
     device: &wgpu::Device,
     poll: wgpu::PollType,
@@ -328,8 +328,8 @@ pub fn poll(
     catch_unwind(AssertUnwindSafe(|| device.poll(poll))).map_err(|_| NoAnswer)
 }
 
-/// The defaults, with large buffers, and one more of them, as the pictures of several frames go to a buffer too; and volumes
-/// as long as the adapter takes them.
+/// The default limits with large buffers, one more storage buffer for pictures of several frames, and volumes as
+/// large as the adapter allows.
 fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
     let defaults = wgpu::Limits::default();
     wgpu::Limits {
@@ -342,7 +342,7 @@ fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
     }
 }
 
-/// Those that have what the kernels need: discrete before integrated before anything else before software. At least one.
+/// Adapters with everything that kernels need: discrete, integrated, others, then software. At least one.
 fn adapters() -> Result<Vec<wgpu::Adapter>, GpuError> {
     let backends = wgpu::Backends::PRIMARY;
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
@@ -396,7 +396,7 @@ pub(crate) fn bind(
     device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
 }
 
-/// A buffer that can be written by copies, of at least four bytes.
+/// A buffer that copies can write, of at least four bytes.
 pub(crate) fn buffer(
     device: &wgpu::Device,
     label: &str,
@@ -411,7 +411,7 @@ pub(crate) fn buffer(
     })
 }
 
-/// An error if a storage buffer of `bytes` cannot be bound on `device`.
+/// Returns an error if a storage buffer of `bytes` cannot be bound on `device`.
 pub(crate) fn check_binding(device: &wgpu::Device, what: &'static str, bytes: u64) -> Result<(), GpuError> {
     let limits = device.limits();
     let limit = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
@@ -445,7 +445,7 @@ fn pipeline_of_text(
         layout: Some(&layout),
         module: &module_of_text(device, text),
         entry_point: Some(entry),
-        // Lists are made in memory of the workgroup that is written before it is read.
+        // Kernels write workgroup memory before they read it.
         compilation_options: wgpu::PipelineCompilationOptions {
             constants,
             zero_initialize_workgroup_memory: !matches!(entry, "generate" | "count"),
@@ -466,7 +466,7 @@ fn module_of_text(device: &wgpu::Device, text: &str) -> wgpu::ShaderModule {
     })
 }
 
-/// Divides a picture into bands of whole rows with at most `max_pixels` pixels, or one row if that is more.
+/// Divides a picture into bands of whole rows with at most `max_pixels` pixels each, or one row.
 pub(crate) fn bands(width: u32, height: u32, max_pixels: u32) -> impl Iterator<Item = Band> {
     let rows = rows_per_band(width, height, max_pixels);
     (0..height).step_by(rows as usize).map(move |first_row| {
@@ -492,7 +492,7 @@ pub(crate) const WRITE: BindingType = BindingType::Buffer {
     has_dynamic_offset: false,
     min_binding_size: None,
 };
-/// Steps of all rays of a dispatch.
+/// Steps of all rays in a dispatch.
 const STEPS_OF_DISCRETE: u32 = 1 << 30;
 const STEPS_OF_OTHERS: u32 = 1 << 27;
 /// Pixels of the shortest dispatch: fewer do not fill a device.

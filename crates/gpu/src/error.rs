@@ -1,12 +1,12 @@
-//! What can go wrong on a GPU, and how wgpu's error scopes become [`GpuError`].
+//! Errors of a GPU, and their translation from wgpu's error scopes.
 
-/// Why the GPU did not do it.
+/// Why the GPU failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GpuError {
     /// There is no driver, or it offers no device.
     #[error("no usable GPU: {0}; install a Vulkan, Metal or DirectX 12 driver, or use the cpu backend")]
     NoAdapter(String),
-    /// A device was found and refused to open.
+    /// A device was found but did not open.
     #[error("device '{adapter}' cannot be opened: {reason}")]
     Open {
         /// Name of the device.
@@ -14,23 +14,23 @@ pub enum GpuError {
         /// What the driver said.
         reason: String,
     },
-    /// Something is larger than the device takes.
+    /// Something exceeds a limit of the device.
     #[error("{what} needs {needed}, the device takes at most {limit}")]
     TooLarge {
-        /// What, with the unit of the numbers.
+        /// Its name, with the unit of the numbers.
         what: &'static str,
         /// Size needed.
         needed: u64,
         /// Limit of the device.
         limit: u64,
     },
-    /// The device has no memory left.
+    /// The device is out of memory.
     #[error("GPU memory exhausted while {0}")]
     OutOfMemory(&'static str),
-    /// The device is gone: driver reset, unplugged, or stopped for taking too long.
+    /// The device is lost: driver reset, unplugged, or stopped by a watchdog.
     #[error("GPU lost while {what}: {reason}")]
     Lost {
-        /// What was being done.
+        /// The operation.
         what: &'static str,
         /// What the driver said.
         reason: String,
@@ -38,26 +38,26 @@ pub enum GpuError {
     /// wgpu or the driver refused a command or a shader.
     #[error("GPU failed while {what}: {reason}")]
     Failed {
-        /// What was being done.
+        /// The operation.
         what: &'static str,
-        /// What was said.
+        /// The message.
         reason: String,
     },
-    /// A camera that no picture can be made for.
+    /// No picture can be made for this camera.
     #[error("camera is not valid: expected finite numbers, near < far and sides of 1 to {max}", max = isinglass_core::camera::MAX_SIDE)]
     Camera,
-    /// A layered frame that breaks its promises.
+    /// A layered frame is invalid.
     #[error("layered frame is not valid: {0}")]
     Frame(String),
 }
 
 impl GpuError {
-    /// Whether the CPU may do what the device could not: it fails by itself, or it is too small for it.
+    /// Whether the CPU may take over: the device failed by itself or is too small.
     pub fn asks_for_cpu(&self) -> bool {
         self.is_lost() || matches!(self, Self::TooLarge { .. })
     }
 
-    /// Whether what is on the device may be of no use any more, so that the same is to be tried elsewhere. After the others the device
+    /// Whether the device's data may be lost, so that another device must be tried. After other errors the device
     /// goes on as before.
     pub fn is_lost(&self) -> bool {
         match self {
@@ -71,7 +71,7 @@ impl GpuError {
     }
 }
 
-/// Runs `body` and turns what wgpu reports on this thread meanwhile into an error. The first cause comes first: without
+/// Runs `body` and turns what wgpu reports meanwhile on this thread into an error. The first cause wins: without
 /// memory, everything after it is invalid too.
 pub(crate) fn scoped<T>(
     device: &wgpu::Device,
@@ -92,7 +92,7 @@ pub(crate) fn scoped<T>(
     }
 }
 
-/// The error as ours.
+/// Converts the error.
 pub(crate) fn from_wgpu(what: &'static str, error: &wgpu::Error) -> GpuError {
     match error {
         wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory(what),
@@ -100,7 +100,7 @@ pub(crate) fn from_wgpu(what: &'static str, error: &wgpu::Error) -> GpuError {
     }
 }
 
-/// A report of several lines as one.
+/// Joins a report of several lines.
 pub(crate) fn one_line(report: &str) -> String {
     report.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -31,7 +31,7 @@ pub(crate) struct Basis {
 }
 
 impl Basis {
-    /// The view as every kernel uses it.
+    /// A view as every kernel uses it.
     pub(crate) fn of(view: impl Into<View>) -> Self {
         let View { basis, near, far } = view.into();
         Self {
@@ -72,7 +72,7 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// What is constant over all rays of a scene.
+    /// Everything that is constant over the rays of a scene.
     pub(crate) fn of(scene: &march::Scene) -> Self {
         let volume = &scene.volume;
         let Region { bounds, normal, offset } = scene.region();
@@ -124,7 +124,7 @@ pub(crate) struct Raycaster {
 }
 
 impl Raycaster {
-    /// The generating camera of a frame and the box of its volume, cast as `options` say; the margin is that of
+    /// The generating camera of a frame and the box of its volume, cast with `options`. The margin is that of
     /// [`isinglass_core::kernels::raycast::Raycaster::new`].
     pub(crate) fn of(
         camera: &Camera,
@@ -174,7 +174,7 @@ pub(crate) struct Display {
 
 /// Lists that a workgroup of `shaders/layering/compact.wgsl` sums.
 pub(crate) const BLOCK: u32 = 256;
-/// Side of the square workgroups of the kernels that work on pixels, but for the next.
+/// Side of the square workgroups of most kernels that work on pixels.
 pub(crate) const WORKGROUP_SIDE: u32 = 8;
-/// Height of the workgroups that cast novel views or make lists: with the side above, as many as run in step.
+/// Height of the workgroups that cast novel views or make lists: with the side above, they fill one SIMD group.
 pub(crate) const GROUP_HEIGHT: u32 = 4;

@@ -1,9 +1,9 @@
-//! Layered frames on the GPU: `generate` writes the lists of a band of rows to slots, three passes of `compact` pack
-//! them into the planes behind those of the band before, and the planes are read back.
+//! Layered frames on the GPU. `generate` writes the lists of a band of rows to slots. Three passes of `compact`
+//! append them to the planes, which are read back.
 //!
-//! A frame is one submission with one wait, that for the planes: its threshold comes from the frame before or is counted on
-//! the device, and as much of the planes is copied as the frame before had. Where the device has turned out to be slow, it
-//! is waited for between bands, so that a frame can be given up.
+//! A frame is one submission and one wait for the planes. Its threshold comes from the previous frame or is counted
+//! on the device. The number of copied segments is a guess from the previous frame. On a slow device the host also
+//! waits between bands, so that a frame can be given up.
 
 use std::time::{Duration, Instant};
 
@@ -26,7 +26,7 @@ pub(crate) struct FrameTarget {
     height: u32,
     k: u8,
     max_steps: u32,
-    /// Segments that the planes hold.
+    /// Capacity of the planes, segments.
     capacity: usize,
     camera: wgpu::Buffer,
     offsets: wgpu::Buffer,
@@ -36,13 +36,13 @@ pub(crate) struct FrameTarget {
     planes: [wgpu::Buffer; 3],
     bands: Vec<BandOnGpu>,
     readback: Readback,
-    /// Segments that are copied before it is known how many there are.
+    /// Segments to copy before their number is known.
     guess: usize,
-    /// How long the last frame took.
+    /// Time for the last frame.
     took: Duration,
 }
 
-/// Some rows of a frame, with what the kernels that make them are given.
+/// Some rows of a frame, with the inputs of their kernels.
 struct BandOnGpu {
     band: Band,
     generate: wgpu::BindGroup,
@@ -50,7 +50,7 @@ struct BandOnGpu {
 }
 
 impl FrameTarget {
-    /// For frames of a scene whose rays have no more than `max_steps`.
+    /// Buffers for frames of a scene whose rays take at most `max_steps`.
     pub(crate) fn new(gpu: &Gpu, header: &FrameHeader, max_steps: u32) -> Result<Self, GpuError> {
         if !header.camera.is_valid() {
             return Err(GpuError::Camera);
@@ -59,7 +59,7 @@ impl FrameTarget {
         let k = clamp_k(header.k);
         let num_pixels = u64::from(width) * u64::from(height);
         let longest = longest_list(k.into()) as u8;
-        // A budget that is counted on some rays may be missed by some.
+        // A budget from sampled rays may be exceeded somewhat.
         let slack = if longest == k { 0 } else { num_pixels * u64::from(k) / 8 + SLACK_SEGMENTS };
         let capacity = (num_pixels * u64::from(k) + slack).min(num_pixels * u64::from(longest));
         let plane_bytes = capacity * 4;
@@ -120,13 +120,13 @@ impl FrameTarget {
         })
     }
 
-    /// Whether this is for frames with this header's size and K, and rays of so many steps.
+    /// Whether this fits frames with this header's size and K, and rays of this many steps.
     pub(crate) fn fits(&self, header: &FrameHeader, max_steps: u32) -> bool {
         let i = header.camera.intrinsics;
         (self.width, self.height, self.k, self.max_steps) == (i.width, i.height, clamp_k(header.k), max_steps)
     }
 
-    /// The frame, by the threshold that `budget` knows or one that is counted; none if it is no longer wanted.
+    /// The frame, by the threshold that `budget` knows or a counted one; `None` if it is no longer wanted.
     pub(crate) fn generate(
         &mut self,
         gpu: &Gpu,
@@ -169,7 +169,7 @@ impl FrameTarget {
                 ],
                 [&mut head, offsets, depth, c_rg, c_b_tau],
             )?;
-            // Some drivers give back what is in a buffer, and no error, where they had to end a dispatch.
+            // When they end a dispatch, some drivers return old buffer contents without an error.
             if !frame.offsets.is_sorted() {
                 let what = "generating a layered frame";
                 return Err(GpuError::Lost { what, reason: "what came back is no frame".into() });
@@ -182,7 +182,7 @@ impl FrameTarget {
                 budget.note(&asked, used, &frame);
                 return Ok(Some(frame));
             }
-            // The rays that were counted have missed what most meet.
+            // The sampled rays have missed what most rays meet.
             if !(0.0..THRESHOLD_GREATEST).contains(&used) {
                 return Err(GpuError::Frame(format!(
                     "more than {} segments at any threshold",
@@ -192,13 +192,13 @@ impl FrameTarget {
             if !wanted() {
                 return Ok(None);
             }
-            // Segments fall at most as the root of the threshold.
+            // The number of segments falls at most as the root of the threshold.
             let excess = total as f32 / self.capacity as f32;
             threshold = Some((used * (excess * excess).clamp(2.0, 16.0)).max(FIRST_LEAST));
         }
     }
 
-    /// Makes the planes `total` segments long: most of them are there.
+    /// Reads the rest of the planes up to `total` segments.
     fn read_planes(&mut self, gpu: &Gpu, frame: &mut LayeredFrame, total: usize) -> Result<(), GpuError> {
         let LayeredFrame { depth, c_rg, c_b_tau, .. } = frame;
         if total > self.guess {
@@ -211,7 +211,7 @@ impl FrameTarget {
         Ok(())
     }
 
-    /// Sets what the kernels know of the budget; without a threshold it is to be counted.
+    /// Sets the budget on the device; without a threshold it must be counted.
     fn write_budget(&self, gpu: &Gpu, threshold: Option<f32>) {
         let mut words = [0; BUDGET_WORDS];
         words[BUDGET_THRESHOLD] = threshold.unwrap_or(0.0).to_bits();
@@ -222,7 +222,7 @@ impl FrameTarget {
         gpu.queue().write_buffer(&self.budget, 0, bytemuck::cast_slice(&words));
     }
 
-    /// Counts some rays at several thresholds, twice, and chooses one.
+    /// Counts some rays twice at several thresholds, and chooses one.
     fn count(&self, gpu: &Gpu, scene: &SceneOnGpu, encoder: &mut wgpu::CommandEncoder) {
         let Some(BandOnGpu { generate, .. }) = self.bands.first() else { return };
         let kernel = Kernel::Generate(scene.kind, scene.mode);
@@ -241,8 +241,8 @@ impl FrameTarget {
         }
     }
 
-    /// Generates and compacts band by band; what is yet to be submitted. None if the frame is no longer wanted, which is
-    /// asked when a band but the last is done on a slow device.
+    /// Generates and compacts band by band, and returns the commands that are not submitted yet. `None` if the frame
+    /// is no longer wanted, which a slow device checks after each band but the last.
     fn fill_planes(
         &self,
         gpu: &Gpu,
@@ -286,17 +286,17 @@ fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
     gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
 }
 
-/// As the twin reads it.
+/// Clamps K as the twin does.
 fn clamp_k(k: u8) -> u8 {
     k.clamp(1, MAX_K as u8)
 }
 
-/// Bytes of slots that a band may take: on hardware a frame of 1280×720 lists at K = 8 is one band.
+/// Most bytes of slots in a band: a frame of 1280×720 lists at K = 8 is one band.
 const SLOT_BYTES: u32 = 1 << 28;
 const SLOT_BYTES_OF_SOFTWARE: u32 = 1 << 26;
-/// A device that takes longer for a frame is slow.
+/// A device that takes longer for a frame counts as slow.
 const SLOW_FRAME: Duration = Duration::from_millis(50);
-/// Segments beyond the budget that any frame has room for.
+/// Segments beyond the budget that every frame has room for.
 const SLACK_SEGMENTS: u64 = 1 << 14;
 /// Words of `Budget`, and which of them is the threshold.
 const BUDGET_WORDS: usize = 6 + NUM_THRESHOLDS;

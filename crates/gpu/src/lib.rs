@@ -1,7 +1,7 @@
-//! The kernels of isinglass-core on wgpu: device, layouts, passes, readback. What each kernel means is said by its Rust
-//! twin in core; here is only how a GPU is made to do the same.
+//! The kernels of isinglass-core on wgpu: device, layouts, passes, readback. A kernel's meaning is documented at its
+//! Rust twin in core.
 //!
-//! Nothing here panics for want of a GPU, of memory or of a driver that answers: all of that is a [`GpuError`].
+//! Nothing here panics without a GPU, memory or a responding driver: all of that is a [`GpuError`].
 
 mod casts;
 mod combine;
@@ -30,5 +30,5 @@ pub use march::GpuRenderer;
 pub use raycast::GpuReprojector;
 pub use view_pass::{Channels, Eye, NUM_SLOTS, ViewPass};
 pub use warm_up::WarmUp;
-/// The version of wgpu that [`ViewPass`] speaks.
+/// The version of wgpu that [`ViewPass`] uses.
 pub use wgpu;

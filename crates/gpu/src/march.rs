@@ -18,7 +18,7 @@ use crate::picture_target::PictureTarget;
 use crate::scene::SceneOnGpu;
 use crate::shaders::{Extent, Kernel};
 
-/// A scene on the GPU with the buffers to draw it; they are kept from one picture to the next.
+/// A scene on the GPU and its drawing buffers, which are kept between pictures.
 pub struct GpuRenderer {
     gpu: Gpu,
     scene: Scene,
@@ -36,12 +36,12 @@ impl GpuRenderer {
         Ok(Self { gpu: gpu.clone(), scene, on_gpu, picture, frame: None, budget: Budget::default() })
     }
 
-    /// What is drawn.
+    /// The scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// Draws something else from now on. The voxels are uploaded again only if `scene.volume` is another.
+    /// Replaces the scene. Voxels are uploaded only if `scene.volume` has changed.
     pub fn set_scene(&mut self, scene: Scene) -> Result<(), GpuError> {
         self.on_gpu.set(&self.gpu, &scene)?;
         self.scene = scene;
@@ -96,8 +96,8 @@ impl GpuRenderer {
         Ok(self.generate_while(header, ALWAYS)?.unwrap_or_else(|| LayeredFrame::empty(header)))
     }
 
-    /// The same for one frame after another; `None` when the frame is no longer wanted, which is asked between passes where
-    /// the device is slow. See [`isinglass_core::kernels::layering::generate_while`].
+    /// The same for successive frames; `None` when the frame is no longer wanted, which a slow device checks between
+    /// passes. See [`isinglass_core::kernels::layering::generate_while`].
     pub fn generate_while(
         &mut self,
         header: FrameHeader,

@@ -1,4 +1,4 @@
-//! How long compute passes take on the device, by its own clock: a timestamp before and behind each pass.
+//! Measures compute passes by the device's own clock: a timestamp before and after each pass.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
@@ -7,7 +7,7 @@ use crate::device::Gpu;
 use crate::error::GpuError;
 use crate::readback::Readback;
 
-/// Timestamps of the passes of one piece of work.
+/// Timestamps of the passes in one piece of work.
 pub(crate) struct PassClock {
     queries: wgpu::QuerySet,
     resolved: wgpu::Buffer,
@@ -17,12 +17,12 @@ pub(crate) struct PassClock {
 }
 
 impl PassClock {
-    /// What the device must be opened with for a clock, as far as the adapter has it.
+    /// The device features for a clock, as far as the adapter has them.
     pub(crate) fn features(adapter: &wgpu::Adapter) -> wgpu::Features {
         adapter.features() & wgpu::Features::TIMESTAMP_QUERY
     }
 
-    /// None if the device has no timestamps.
+    /// `None` if the device has no timestamps.
     pub(crate) fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Option<Self> {
         device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| Self {
             queries: device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -41,7 +41,7 @@ impl PassClock {
         })
     }
 
-    /// The two timestamps of one more pass, if passes are timed.
+    /// The two timestamps of the next pass, if passes are timed.
     fn next_pass(&self) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
         let take = |n| (n != IDLE).then(|| n + 2);
         let first = self.next.try_update(Ordering::Relaxed, Ordering::Relaxed, take).ok()?;
@@ -52,7 +52,7 @@ impl PassClock {
         })
     }
 
-    /// The sum over the first `num` timestamps, of two a pass.
+    /// The summed time of the first `num` timestamps, two per pass.
     fn read(&self, gpu: &Gpu, num: u32) -> Result<Duration, GpuError> {
         let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         encoder.resolve_query_set(&self.queries, 0..num, &self.resolved, 0);
@@ -64,15 +64,15 @@ impl PassClock {
 }
 
 impl Gpu {
-    /// What a compute pass begins with: timestamps while [`Gpu::timed`] runs, else nothing.
+    /// The descriptor of a compute pass: with timestamps while [`Gpu::timed`] runs.
     pub(crate) fn pass(&self) -> wgpu::ComputePassDescriptor<'_> {
         let timestamp_writes = self.pass_clock().and_then(PassClock::next_pass);
         wgpu::ComputePassDescriptor { label: None, timestamp_writes }
     }
 
-    /// Runs `body` and tells how long the passes that it submitted took on the device, the way of results to memory not
-    /// included. No time if there were none or more than a thousand, or if the adapter has no timestamps or is a program
-    /// on the CPU, whose timestamps say little. Passes of other threads count too.
+    /// Runs `body` and measures its submitted passes on the device, without readback. There is no time without
+    /// passes, with more than a thousand, without timestamps, or on a software adapter, whose timestamps mean little.
+    /// Passes of other threads count too.
     ///
     /// # Errors
     /// Those of `body`, and if timestamps cannot be read.
@@ -104,7 +104,7 @@ impl Gpu {
     }
 }
 
-/// A thousand passes: a frame at 1920×1080 has some tens.
+/// A thousand passes: a frame at 1920×1080 has a few tens.
 const MAX_QUERIES: u32 = 2048;
 const IDLE: u32 = u32::MAX;
 

@@ -10,7 +10,7 @@ use crate::error::GpuError;
 use crate::gpu_types::{Band, Basis, WORKGROUP_SIDE};
 use crate::readback::Readback;
 
-/// Buffers for one band of a picture; they grow when a larger picture comes.
+/// Buffers for one band of a picture; they grow for a larger one.
 pub(crate) struct PictureTarget {
     camera: wgpu::Buffer,
     band: wgpu::Buffer,
@@ -56,7 +56,7 @@ impl PictureTarget {
         self.draw_rows(gpu, pipeline, group_0, view, max_steps, 0..view.basis.height as u32)
     }
 
-    /// The same for some rows: the picture has those alone. No pixel takes more than `max_steps`.
+    /// Draws some rows; the picture has only those. No pixel takes more than `max_steps`.
     pub(crate) fn draw_rows(
         &mut self,
         gpu: &Gpu,

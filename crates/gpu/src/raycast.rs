@@ -18,7 +18,7 @@ use crate::gpu_types::{GROUP_HEIGHT, Raycaster};
 use crate::picture_target::PictureTarget;
 use crate::shaders::Kernel;
 
-/// Makes a frame ready for casting. Kernel: `shaders/empty_space_build.wgsl`.
+/// Prepares a frame for casting. Kernel: `shaders/empty_space_build.wgsl`.
 #[derive(Clone)]
 pub(crate) struct GridBuilder {
     pub(crate) pipeline: wgpu::ComputePipeline,
@@ -29,22 +29,22 @@ pub(crate) struct GridBuilder {
 pub(crate) struct FrameOnGpu {
     builder: GridBuilder,
     caster: wgpu::Buffer,
-    /// What `caster` holds.
+    /// The contents of `caster`.
     uniform: Raycaster,
     options: CastOptions,
     /// The camera of the frame and the box of its volume.
     seen_by: Option<(Camera, Aabb)>,
     compositing: Compositing,
     buffers: Buffers,
-    /// Group 0 of `one_frame.wgsl`, made for exactly these buffers.
+    /// Group 0 of `one_frame.wgsl` for these buffers.
     pub(crate) bind_group: wgpu::BindGroup,
     build_group: wgpu::BindGroup,
 }
 
-/// Two buffers for six planes, so that a kernel of four frames binds eight, and the grid is not written to a buffer
-/// that its kernel reads.
+/// Two buffers hold six planes. So a kernel of four frames binds eight, and no kernel writes a grid to a buffer that
+/// it reads.
 struct Buffers {
-    /// Offsets and depth; occupied cells, colours and summaries of the lists.
+    /// First offsets and depth; then occupied cells, colours and summaries of the lists.
     buffers: [wgpu::Buffer; 2],
     planes: [Plane; NUM_PLANES],
 }
@@ -58,7 +58,7 @@ struct Plane {
 }
 
 impl FrameOnGpu {
-    /// Buffers without a frame: nothing is seen.
+    /// Buffers without a frame, which show nothing.
     pub(crate) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, builder: GridBuilder) -> Self {
         let caster = buffer(device, "caster", size_of::<Raycaster>() as u64, wgpu::BufferUsages::UNIFORM);
         let buffers = Buffers::new(device, planes([SUMMARY_BYTES; NUM_PLANES], alignment(device)));
@@ -79,8 +79,7 @@ impl FrameOnGpu {
         }
     }
 
-    /// Replaces the frame. `bounds` is the box of the volume that it was made of. A frame that is refused leaves the
-    /// former one.
+    /// Replaces the frame. `bounds` is the box of its volume. A rejected frame leaves the former one.
     pub(crate) fn upload(
         &mut self,
         device: &wgpu::Device,
@@ -136,7 +135,7 @@ impl FrameOnGpu {
         });
         self.seen_by = Some((frame.header.camera, *bounds));
         if is_written.is_err() {
-            // Half a frame is none, and an empty box shows nothing.
+            // If the upload fails half-way, nothing is shown.
             self.seen_by = None;
             self.uniform = bytemuck::Zeroable::zeroed();
             self.compositing = Compositing::Over;
@@ -145,7 +144,7 @@ impl FrameOnGpu {
         is_written
     }
 
-    /// How the frame is cast from now on.
+    /// Sets how the frame is cast.
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
         if self.options == *options {
             return;
@@ -161,7 +160,7 @@ impl FrameOnGpu {
         queue.write_buffer(&self.caster, 0, bytemuck::bytes_of(&self.uniform));
     }
 
-    /// The camera of the frame and the box of its volume; none without a frame.
+    /// The camera of the frame and the box of its volume; `None` without a frame.
     pub(crate) fn seen_by(&self) -> Option<(&Camera, &Aabb)> {
         self.seen_by.as_ref().map(|(camera, bounds)| (camera, bounds))
     }
@@ -171,7 +170,7 @@ impl FrameOnGpu {
         self.compositing
     }
 
-    /// What the casting kernels know of the frame.
+    /// The uniform of the casting kernels.
     pub(crate) fn uniform(&self) -> Raycaster {
         self.uniform
     }
@@ -182,7 +181,7 @@ impl FrameOnGpu {
         [word(DEPTH), word(C_RG), word(C_B_TAU), word(SUMMARIES)]
     }
 
-    /// Both buffers for `shaders/combine.wgsl`; none if the device cannot bind a buffer as far as that reads it.
+    /// Both buffers for `shaders/combine.wgsl`; `None` if the device cannot bind them.
     pub(crate) fn whole_buffers(&self, device: &wgpu::Device) -> Option<[wgpu::BindingResource<'_>; 2]> {
         let limit = device.limits().max_storage_buffer_binding_size;
         let end = |plane: usize| self.buffers.planes[plane].start + self.buffers.planes[plane].size;
@@ -239,8 +238,8 @@ fn alignment(device: &wgpu::Device) -> u64 {
     device.limits().min_storage_buffer_offset_alignment.into()
 }
 
-/// Planes that hold so many bytes each, and a quarter more if the device takes that: frames of a moving camera vary, and
-/// every growth makes new bind groups.
+/// Planes of at least these sizes, and a quarter more if the device allows it. Frames of a moving camera vary, and
+/// each growth needs new bind groups.
 fn roomy_planes(device: &wgpu::Device, bytes: [u64; NUM_PLANES]) -> Result<[Plane; NUM_PLANES], GpuError> {
     let limits = device.limits();
     let (max_binding, max_buffer) = (limits.max_storage_buffer_binding_size, limits.max_buffer_size);
@@ -255,7 +254,7 @@ fn roomy_planes(device: &wgpu::Device, bytes: [u64; NUM_PLANES]) -> Result<[Plan
     if needed > max_buffer { Err(GpuError::TooLarge { what, needed, limit: max_buffer }) } else { Ok(tight) }
 }
 
-/// Planes of so many bytes, one behind the other.
+/// Planes of these sizes, one after the other.
 fn planes(bytes: [u64; NUM_PLANES], alignment: u64) -> [Plane; NUM_PLANES] {
     let mut ends = [0u64; 2];
     std::array::from_fn(|plane| {
@@ -280,7 +279,7 @@ pub struct GpuReprojector {
 }
 
 impl GpuReprojector {
-    /// Uploads a frame. `bounds` is the box of the volume that it was made of.
+    /// Uploads a frame. `bounds` is the box of its volume.
     pub fn new(gpu: &Gpu, frame: &LayeredFrame, bounds: &Aabb) -> Result<Self, GpuError> {
         Self::of_frames(gpu, &[frame], bounds)
     }
@@ -308,8 +307,8 @@ impl GpuReprojector {
         self.set_frames(&[frame], bounds)
     }
 
-    /// Casts several frames of one volume and look from now on, the newest first: see
-    /// [`isinglass_core::kernels::combine`]. If one is refused, only those before it are cast.
+    /// Replaces the frames with several of one volume and look, the newest first: see
+    /// [`isinglass_core::kernels::combine`]. If one is rejected, only those before it are cast.
     pub fn set_frames(&mut self, frames: &[&LayeredFrame], bounds: &Aabb) -> Result<(), GpuError> {
         let Self { gpu, frames: on_gpu, .. } = self;
         if frames.len() > 1 {
@@ -351,10 +350,10 @@ impl GpuReprojector {
     }
 }
 
-/// Steps of a march that the longest way through the lists of a large frame takes as long as.
+/// March steps that take as long as the longest path through the lists of a large frame.
 const MAX_CROSSINGS: u32 = 1 << 12;
 
-/// What the kernel relies on to stay inside the planes and to end.
+/// Checks what keeps the kernel inside the planes and makes it end.
 fn check_indices(frame: &LayeredFrame) -> Result<(), GpuError> {
     let camera = &frame.header.camera;
     if !camera.is_valid() {
@@ -381,5 +380,5 @@ const OCCUPIED: usize = 2;
 const C_RG: usize = 3;
 const C_B_TAU: usize = 4;
 const SUMMARIES: usize = 5;
-/// Of one list: four words (`shaders/empty_space_build.wgsl`).
+/// Bytes of a list's summary, four words (`shaders/empty_space_build.wgsl`).
 const SUMMARY_BYTES: u64 = 16;

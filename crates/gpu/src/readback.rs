@@ -1,4 +1,4 @@
-//! From the GPU back to memory.
+//! Copies from the GPU to memory.
 
 use bytemuck::Pod;
 
@@ -12,7 +12,7 @@ pub(crate) struct Readback {
 }
 
 impl Readback {
-    /// Submits `encoder` with copies of the first `counts[i]` elements of each source behind it, waits, and appends the
+    /// Adds copies of the first `counts[i]` elements of each source to `encoder`, submits it, waits, and appends the
     /// elements to the `targets`.
     pub(crate) fn read<T: Pod, const N: usize>(
         &mut self,
@@ -45,7 +45,7 @@ impl Readback {
         for ((staging, &needed), target) in self.staging.iter().zip(&bytes).zip(targets) {
             if needed > 0 {
                 {
-                    // Fails if the mapping failed: the device was lost or has no memory.
+                    // Mapping fails when the device is lost or out of memory.
                     let failed =
                         |e: wgpu::MapRangeError| GpuError::Failed { what: WHAT, reason: e.to_string() };
                     let view = staging.slice(..needed).get_mapped_range().map_err(failed)?;

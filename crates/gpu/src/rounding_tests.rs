@@ -1,9 +1,9 @@
-//! Does jumping over empty cells leave out nothing where a device rounds otherwise than its twin? The kernel's own text, with
-//! other operations in the place of some of its own, is run and compared with the twin.
+//! Tests that skipping empty cells leaves nothing out where a device rounds differently from the twin. It runs
+//! variants of the kernel's text with other operations and compares them with the twin.
 //!
-//! A stretch that is tested begins where the stretch before ended and ends where the next begins, whatever the rounding. Depth
-//! and row grow or fall along it without a turn. So all that it runs through lies between its ends, but for the rounding of a row
-//! (1e-4 lists), and a list of less nearness than `MIN_NEARNESS` (1e-3) is left out in any case.
+//! A tested stretch begins where the previous one ended and ends where the next begins, whatever the rounding. Depth
+//! and row change monotonically along it, so its cells lie between its ends. A row may round by 1e-4 lists, but a
+//! list with a nearness below `MIN_NEARNESS` (1e-3) is left out anyway.
 
 use std::sync::Arc;
 

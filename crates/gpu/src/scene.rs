@@ -1,5 +1,4 @@
-//! A scene on the GPU: the voxels and their shares of light as 3-D textures, the transfer table and the occupancy
-//! bits as storage buffers.
+//! A scene on the GPU: voxels and brightness as 3-D textures, the transfer table and occupancy as storage buffers.
 
 use std::sync::Arc;
 
@@ -14,8 +13,7 @@ use crate::error::GpuError;
 use crate::gpu_types;
 use crate::shaders::TexelKind;
 
-/// A scene uploaded. Changing the look rewrites two small buffers and, if the light falls otherwise, a texture; the
-/// voxels stay.
+/// An uploaded scene. A new look rewrites two small buffers, and a texture if the light changes; the voxels stay.
 pub(crate) struct SceneOnGpu {
     volume: Arc<Volume>,
     lit: Option<Arc<Lit>>,
@@ -26,9 +24,9 @@ pub(crate) struct SceneOnGpu {
     occupancy: wgpu::Buffer,
     /// How the kernels must read the voxels.
     pub(crate) kind: TexelKind,
-    /// What they make of them.
+    /// The rendering mode.
     pub(crate) mode: Mode,
-    /// Steps of the longest ray.
+    /// Number of steps on the longest ray.
     pub(crate) max_steps: u32,
     /// Group 0 of the marching kernels.
     pub(crate) bind_group: wgpu::BindGroup,
@@ -67,7 +65,7 @@ impl SceneOnGpu {
         })
     }
 
-    /// Replaces the scene; the voxels are uploaded only if they are others.
+    /// Replaces the scene; unchanged voxels are not uploaded again.
     pub(crate) fn set(&mut self, gpu: &Gpu, scene: &march::Scene) -> Result<(), GpuError> {
         if !Arc::ptr_eq(&self.volume, &scene.volume) {
             *self = Self::new(gpu, scene)?;
@@ -96,7 +94,7 @@ impl SceneOnGpu {
         gpu.queue().write_buffer(&self.table, 0, bytemuck::cast_slice(&table_words(scene)));
         let Occupancy { words, peaks, .. } = &scene.occupancy;
         gpu.queue().write_buffer(&self.occupancy, 0, bytemuck::cast_slice(words));
-        // Without peaks none is known to be less than the greatest that there can be.
+        // Without peaks, every brick may hold the greatest key.
         let unknown = if peaks.is_empty() { vec![u32::MAX; words.len()] } else { Vec::new() };
         let peaks = if peaks.is_empty() { &unknown } else { peaks };
         gpu.queue().write_buffer(&self.occupancy, words.len() as u64 * 4, bytemuck::cast_slice(peaks));
@@ -142,7 +140,7 @@ fn table_words(scene: &march::Scene) -> Vec<f32> {
     words
 }
 
-/// Integer voxels keep their integers (exact on every device, and 16 bits need no optional feature).
+/// Integer voxels stay integers, which is exact on every device and needs no optional feature for 16 bits.
 fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture), GpuError> {
     let (kind, format, bytes): (_, _, &[u8]) = match volume.voxels() {
         Voxels::U8(v) => (TexelKind::Uint, wgpu::TextureFormat::R8Uint, v),
@@ -152,8 +150,8 @@ fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture
     Ok((kind, upload_texture(gpu, volume.dims(), format, bytes, None)?))
 }
 
-/// The shares of light of the voxels; of a scene without shading, a single texel that is never read. Those before make room
-/// for them where they are as many: the queue has them arrive behind what still reads the old ones.
+/// Uploads the voxels' brightness; without shading, a single texel that is never read. A texture of the same size is
+/// reused: the queue orders writes after earlier reads.
 fn upload_lit(
     gpu: &Gpu,
     scene: &march::Scene,
@@ -166,7 +164,7 @@ fn upload_lit(
     upload_texture(gpu, dims, wgpu::TextureFormat::R8Uint, shares, before)
 }
 
-/// A 3-D texture with the given texels, x fastest, one number each: the one before, if it is of this size.
+/// A 3-D texture of single numbers, x fastest; `before` is reused if it has this size.
 fn upload_texture(
     gpu: &Gpu,
     [width, height, depth]: [u32; 3],
@@ -213,12 +211,12 @@ fn upload_texture(
             },
             wgpu::Extent3d { width, height, depth_or_array_layers: (bytes.len() / bytes_per_slice) as u32 },
         );
-        // Each slab has its own staging memory, which is free again once it has arrived.
+        // Each slab's staging memory is free again once it has arrived.
         gpu.queue().submit([]);
         gpu.wait("uploading the volume")?;
     }
     Ok(texture)
 }
 
-/// Bytes of a volume that are staged at a time.
+/// Bytes of a volume that are staged at once.
 const SLAB_BYTES: usize = 32 << 20;

@@ -1,9 +1,9 @@
-//! The kernels as text: plain concatenations of the parts in `shaders/`, in the order stated here.
+//! The text of the kernels: plain concatenations of the parts in `shaders/`, in the order stated here.
 
 use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
 use isinglass_core::mode::{Compositing, Mode};
 
-/// How the voxels are stored, as far as a shader can tell.
+/// Storage of the voxels as a shader sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TexelKind {
     /// 8- and 16-bit unsigned integers.
@@ -12,16 +12,16 @@ pub(crate) enum TexelKind {
     Float,
 }
 
-/// How far a rendering marches.
+/// Where a march ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Extent {
-    /// To matter that nothing can be seen through.
+    /// At opaque matter.
     Opaque,
-    /// To the far side.
+    /// At the far side.
     Through,
 }
 
-/// What a novel view is made of.
+/// The frames of a novel view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Frames {
     /// One layered frame, at the cost of one.
@@ -31,8 +31,8 @@ pub(crate) enum Frames {
     Several,
 }
 
-/// What a pipeline casts for. Its constants (`override` in the text) cost neither registers nor branches, and what a purpose
-/// does not need is not in its pipeline.
+/// The purpose of a casting pipeline. Its constants (`override` in the text) remove unused code, registers and
+/// branches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Purpose {
     pub(crate) frames: Frames,
@@ -48,7 +48,7 @@ impl Default for Purpose {
 }
 
 impl Purpose {
-    /// Of frames that are cast so.
+    /// The purpose for frames that are cast with these options.
     pub(crate) fn new(frames: Frames, compositing: Compositing, options: &CastOptions) -> Self {
         Self {
             frames,
@@ -68,7 +68,7 @@ impl Purpose {
     }
 }
 
-/// A kernel in one of its variants.
+/// A variant of a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kernel {
     /// Entry point `render`.
@@ -88,7 +88,7 @@ pub(crate) enum Kernel {
 }
 
 impl Kernel {
-    /// What a pipeline sets in the text: all of its `override` constants.
+    /// All `override` constants of the pipeline.
     pub(crate) fn constants(self) -> Vec<(&'static str, f64)> {
         match self {
             Self::RaycastCompute(purpose) => purpose.constants(),
@@ -141,7 +141,7 @@ impl Kernel {
     }
 }
 
-/// What a march makes of two samples in a mode: generated lines, and the part.
+/// The parts that handle two samples in a mode: generated lines, and a file.
 fn mode_parts(mode: Mode) -> [&'static str; 2] {
     match mode {
         Mode::Composite => ["", ABSORPTION],

@@ -1,17 +1,17 @@
-//! Novel views cast into a texture before the pass of the user interface, and copied inside it, enlarged if they have fewer
-//! pixels than are shown. Kernels: `shaders/raycast_view.wgsl`, `shaders/upscale.wgsl`.
+//! Novel views cast into a texture before the user interface's pass, and copied or enlarged inside it. Kernels:
+//! `shaders/raycast_view.wgsl`, `shaders/upscale.wgsl`.
 
 use crate::device::{bind, layout, shader_module};
 use crate::shaders::Kernel;
 use crate::warm_up::{Draw, Pipeline};
 
-/// The texture and what draws into and from it.
+/// The texture, and the pipelines that write and read it.
 pub(crate) struct Upscale {
     enlarge: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
-    /// That of the screen: pixels are mixed as they are stored, which on a software device is three times as fast as
-    /// mixing light and encoding it, and no eye tells while the picture moves.
+    /// The screen's format: stored values are interpolated. On a software device that is three times as fast as
+    /// mixing light, and nobody sees the difference in movement.
     format: wgpu::TextureFormat,
     target: Option<Target>,
 }
@@ -23,7 +23,7 @@ struct Target {
 }
 
 impl Upscale {
-    /// `format` is what is enlarged into.
+    /// `format` is that of the target.
     pub(crate) fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Self {
         let texture = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: true },
@@ -73,7 +73,7 @@ impl Upscale {
         }
     }
 
-    /// Casts into a texture of `size` by a pipeline for the screen's format.
+    /// Casts into a texture of `size` with a pipeline for the screen's format.
     pub(crate) fn cast(
         &mut self,
         device: &wgpu::Device,
@@ -108,7 +108,7 @@ impl Upscale {
         pass.draw(0..3, 0..1);
     }
 
-    /// A first draw with the pipeline that enlarges.
+    /// A first draw with the enlarging pipeline.
     pub(crate) fn warm_up(&self, device: &wgpu::Device) -> Draw {
         Draw {
             pipeline: Pipeline::Made(self.enlarge.clone()),
@@ -116,7 +116,7 @@ impl Upscale {
         }
     }
 
-    /// Fills the viewport with what was cast.
+    /// Fills the viewport with the cast picture.
     pub(crate) fn paint(&self, pass: &mut wgpu::RenderPass<'_>) {
         let Some(target) = &self.target else { return };
         pass.set_pipeline(&self.enlarge);

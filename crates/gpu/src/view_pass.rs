@@ -1,13 +1,12 @@
-//! Novel views drawn into somebody else's render pass, such as that of a user interface: the ray caster as a fragment
+//! Novel views drawn inside another render pass, such as that of a user interface: the ray caster as a fragment
 //! shader. Kernels: `shaders/raycast.wgsl`, `shaders/raycast_view.wgsl`, `shaders/combine.wgsl`.
 //!
-//! Order of calls: [`ViewPass::new`] once a device; [`ViewPass::upload`] whenever a frame comes; [`ViewPass::show`]
-//! whenever a picture is to be made of other frames; each refresh [`ViewPass::prepare`] before, [`ViewPass::paint`]
-//! inside the pass. The viewport of the pass decides where the picture goes. Until the first frame only the background
-//! is painted.
+//! Call [`ViewPass::new`] once per device, [`ViewPass::upload`] for each frame and [`ViewPass::show`] to select
+//! frames. At each refresh call [`ViewPass::prepare`] before and [`ViewPass::paint`] inside the pass, whose viewport
+//! places the picture. Until the first frame only the background is painted.
 //!
-//! For a stereo pair: [`ViewPass::prepare_eyes`] before, [`ViewPass::paint_eye`] twice inside; the frame is uploaded
-//! once.
+//! For a stereo pair, call [`ViewPass::prepare_eyes`] before and [`ViewPass::paint_eye`] twice inside; the frame is
+//! uploaded once.
 
 use std::sync::Arc;
 
@@ -31,16 +30,16 @@ use crate::warm_up::{Draw, Pipeline, WarmUp};
 pub struct ViewPass {
     casts: Arc<Casts>,
     frames: FramesOnGpu,
-    /// Of the left and of the right eye; a picture of one eye is the left one's.
+    /// Uniforms of the left and the right eye; a single picture uses the left.
     eyes: [(wgpu::Buffer, wgpu::BindGroup); 2],
     display: wgpu::Buffer,
-    /// View and group of the picture that is cast apart.
+    /// Uniform of a picture that is cast into a texture.
     apart: (wgpu::Buffer, wgpu::BindGroup),
     upscale: Upscale,
     target: wgpu::TextureFormat,
 }
 
-/// One of two.
+/// One of two eyes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Eye {
     /// The left one.
@@ -49,10 +48,10 @@ pub enum Eye {
     Right,
 }
 
-/// Which channels of the target an eye's picture goes to.
+/// The channels that an eye's picture is written to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channels {
-    /// All.
+    /// All channels.
     All,
     /// Red: the left eye of an anaglyph.
     Red,
@@ -71,8 +70,8 @@ impl Channels {
 }
 
 impl ViewPass {
-    /// For passes with one colour target of `target`, no depth and no multisampling. What is stored is sRGB in any case:
-    /// encoded by the shader unless the format does it.
+    /// For passes with one colour target of format `target`, without depth and multisampling. The result is sRGB in
+    /// any case: the shader encodes it unless the format does.
     pub fn new(device: &wgpu::Device, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
         scoped(device, "making the view pass", || {
             let fragment = wgpu::ShaderStages::FRAGMENT;
@@ -84,7 +83,7 @@ impl ViewPass {
             let builder = GridBuilder { pipeline: grid_pipeline, layout: grid_layout };
             let caster_layouts = CasterLayouts::new(device, fragment);
             let casts = Arc::new(Casts::new(device, target, &caster_layouts, &view_layout));
-            // What the first picture is made with, whether the device can.
+            // The first picture needs this pipeline, and a failure must show now.
             casts.get_or_make(Purpose::default(), Channels::All);
             let upscale = Upscale::new(device, target);
             let frames = FramesOnGpu::new(device, &caster_layouts, builder);
@@ -105,15 +104,15 @@ impl ViewPass {
         })
     }
 
-    /// All that the pictures of one eye are drawn with, to be made and drawn with ahead of need. Call it before anything else
-    /// is prepared; it can be run at any time. Until it is dropped, pictures wait for nothing that it is still to make: they are
-    /// of the newest frame alone, or nothing is painted.
+    /// Everything that draws the pictures of one eye, to be made ahead of need. Call it before preparing anything
+    /// else, and run it at any time. Until it is dropped, pictures do not wait for missing pipelines: they show only
+    /// the newest frame, or nothing.
     ///
     /// # Errors
     /// If the device has no room for it.
     pub fn warm_up(&self, device: &wgpu::Device, queue: &wgpu::Queue) -> Result<WarmUp, GpuError> {
         scoped(device, "preparing the first draws", || {
-            // Nothing is in the one pixel, but its ray is one.
+            // The single pixel shows nothing, but its ray is valid.
             let pixel = Intrinsics::perspective(1, 1, 1.0);
             let nowhere = Aabb { min: glam::Vec3::ZERO, max: glam::Vec3::ZERO };
             let camera = Camera::new(Pose::orbit(glam::Vec3::ONE, 0.0, 0.0, 1.0), pixel, &nowhere);
@@ -129,9 +128,9 @@ impl ViewPass {
         })
     }
 
-    /// Puts `frame` into a slot below [`NUM_SLOTS`]; slot 0 is shown until [`ViewPass::show`] says otherwise. `bounds` is
-    /// the box of the volume that the frame was made of. Buffers are reused and grow when needed. A frame that is refused
-    /// leaves the former one.
+    /// Uploads `frame` to a slot below [`NUM_SLOTS`]; slot 0 is shown until [`ViewPass::show`] selects others.
+    /// `bounds` is the box of its volume. Buffers are reused and grow as needed. A rejected frame leaves the former
+    /// one.
     pub fn upload(
         &mut self,
         device: &wgpu::Device,
@@ -145,9 +144,9 @@ impl ViewPass {
         scoped(device, "uploading a layered frame", || frames.upload(device, queue, slot, frame, bounds))
     }
 
-    /// Shows the frames of these slots from now on: the newest, and older ones of the same volume and look for what it does
-    /// not see (see [`isinglass_core::kernels::combine`]). With the newest alone a picture costs no more than if there were
-    /// no slots. An older frame too large to be bound along with the newest is left out.
+    /// Selects the displayed slots: the newest frame first, then older ones of the same volume and look for what it
+    /// lacks (see [`isinglass_core::kernels::combine`]). The newest alone costs no more than a single slot. An older
+    /// frame that cannot be bound as well is left out.
     pub fn show(&mut self, device: &wgpu::Device, slots: &[usize]) -> Result<(), GpuError> {
         let frames = &mut self.frames;
         scoped(device, "binding layered frames", || {
@@ -156,7 +155,7 @@ impl ViewPass {
         })
     }
 
-    /// How frames are cast from now on.
+    /// Sets how frames are cast.
     pub fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
         self.frames.set_options(queue, options);
     }
@@ -167,13 +166,13 @@ impl ViewPass {
         self.prepare_views(queue, &[camera.into()], background);
     }
 
-    /// Sets the views of the left and of the right eye for the next two [`ViewPass::paint_eye`].
+    /// Sets the views of both eyes for the next two [`ViewPass::paint_eye`].
     pub fn prepare_eyes(&self, queue: &wgpu::Queue, views: &[View; 2], background: [f32; 3]) {
         self.prepare_views(queue, views, background);
     }
 
-    /// Casts a picture of `camera`, whose own size it has, into a texture for [`ViewPass::paint_apart`]: by `encoder`, before
-    /// the pass, in one with these timestamps. `background` is linear and opaque.
+    /// Casts a picture of `camera`, in its own size, into a texture for [`ViewPass::paint_apart`]. `encoder` runs
+    /// this before the pass, with these timestamps. `background` is linear and opaque.
     pub fn prepare_apart(
         &mut self,
         device: &wgpu::Device,
@@ -192,18 +191,18 @@ impl ViewPass {
         self.upscale.cast(device, encoder, size, &pipeline, [&group, &self.apart.1], timestamps);
     }
 
-    /// Fills the viewport with that picture, however often: copied if it has as many pixels, enlarged if it is smaller.
+    /// Fills the viewport with that picture, any number of times. It is copied at equal size and enlarged if it is
+    /// smaller.
     pub fn paint_apart(&self, pass: &mut wgpu::RenderPass<'_>) {
         self.upscale.paint(pass);
     }
 
-    /// Whether the pipeline that all pictures of one eye are now cast with is there. If not it comes, and what is cast meanwhile is
-    /// not yet as asked.
+    /// Whether the pipeline for the current pictures is ready. Until then, pictures may lack requested features.
     pub fn casts_as_asked(&self) -> bool {
         !self.casts.are_coming() || self.casts.get(self.frames.cast().0, Channels::All).is_some()
     }
 
-    /// What casts now, and its group 0. None if that is still to come.
+    /// The pipeline to cast with, and its group 0. `None` if it is not ready.
     fn cast(&self, channels: Channels) -> Option<(wgpu::RenderPipeline, wgpu::BindGroup)> {
         let wanted = self.frames.cast();
         let made = |(purpose, group): (Purpose, &wgpu::BindGroup)| {
@@ -233,7 +232,7 @@ impl ViewPass {
         self.paint_eye(pass, Eye::Left, Channels::All);
     }
 
-    /// Fills the given channels of the viewport with what an eye sees.
+    /// Fills these channels of the viewport with an eye's picture.
     pub fn paint_eye(&self, pass: &mut wgpu::RenderPass<'_>, eye: Eye, channels: Channels) {
         let (_, bind_group) = &self.eyes[eye as usize];
         let Some((pipeline, group)) = self.cast(channels) else { return };
@@ -244,5 +243,5 @@ impl ViewPass {
     }
 }
 
-/// Frames that can be held at a time: as many as the viewer keeps, and one that is not kept.
+/// Number of slots: as many as the viewer keeps, and one more.
 pub const NUM_SLOTS: usize = 8;

@@ -1,9 +1,8 @@
-//! The pipelines that a viewer may need and the first draw with each, ahead of time and off the screen.
+//! Makes the pipelines that a viewer may need, and draws with each, ahead of time and off the screen.
 //!
-//! Software devices, and some drivers of hardware, compile a kernel when it is drawn with for the first time: a second
-//! or more, in which a window that draws with it stands still, as all draws of a device wait for each other. Software
-//! devices keep what they have compiled in a cache that others find it in, so what is
-//! not needed at once is drawn with on another device first.
+//! Software devices and some drivers compile a kernel at the first draw, which may take more than a second. The
+//! window stands still meanwhile, as all draws of a device wait for each other. Software devices share a cache of
+//! compiled kernels, so less urgent ones are first drawn on another device.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,15 +13,15 @@ use crate::error::{GpuError, scoped};
 use crate::shaders::Purpose;
 use crate::view_pass::{Channels, ViewPass};
 
-/// Draws of one pixel that nobody sees. Holds what it needs, so that any thread can run it while the window draws.
+/// Invisible draws of one pixel. It owns what it needs, so any thread can run it while the window draws.
 pub struct WarmUp {
     pub(crate) target: wgpu::TextureFormat,
     pub(crate) casts: Arc<Casts>,
-    /// The soonest needed first.
+    /// The draws, the most urgent first.
     pub(crate) draws: Vec<Draw>,
 }
 
-/// What is drawn with, and its groups.
+/// A pipeline and its groups.
 pub(crate) struct Draw {
     pub(crate) pipeline: Pipeline,
     pub(crate) groups: Vec<wgpu::BindGroup>,
@@ -31,16 +30,16 @@ pub(crate) struct Draw {
 /// A pipeline for one colour target.
 pub(crate) enum Pipeline {
     Made(wgpu::RenderPipeline),
-    /// One that casts, to be made.
+    /// A casting pipeline that must be made.
     Cast(Purpose),
 }
 
 impl WarmUp {
-    /// Draws with one pipeline after the other and waits for each, so that whatever else is drawn meanwhile waits for one
-    /// kernel at most; if `adapter` is one in software whose cache is in use, for those of the first picture alone. Returns how many were drawn with.
+    /// Draws with each pipeline and waits for it, so that other draws wait for at most one kernel. A software
+    /// `adapter` with a cache in use draws only for the first picture. Returns the number of pipelines.
     ///
-    /// `submit` gives commands to the queue of `device`, or ends this by giving none back. A window must do that where it draws: a
-    /// surface cannot be configured anew while another thread submits.
+    /// `submit` passes commands to the queue of `device`, or ends this by returning `None`. A window must submit
+    /// where it draws: a surface cannot be configured while another thread submits.
     ///
     /// # Errors
     /// If the device reports one.
@@ -51,11 +50,11 @@ impl WarmUp {
         submit: impl Fn(wgpu::CommandBuffer) -> Option<wgpu::SubmissionIndex>,
     ) -> Result<usize, GpuError> {
         let is_software = |a: &&wgpu::Adapter| a.get_info().device_type == wgpu::DeviceType::Cpu;
-        // Without another device the first draws take their time here, and that is all.
+        // Without another device the first draws just take longer here.
         let beside = adapter.filter(is_software).and_then(|adapter| self.beside(adapter, device).ok());
         let view = self.view(device)?;
         for (number, draw) in self.draws.iter().enumerate() {
-            // What the first picture needs is needed soon: compiling it twice at once would only take longer.
+            // The first picture's kernels are urgent, and compiling them twice at once would take longer.
             if number >= NUM_AT_ONCE
                 && let Some((device, queue, warm_up, view)) = &beside
                 && let Some(draw) = warm_up.draws.get(number)
@@ -73,7 +72,7 @@ impl WarmUp {
         Ok(self.draws.len())
     }
 
-    /// The same on another device of the adapter.
+    /// Draws on another device of the adapter.
     fn beside(
         &self,
         adapter: &wgpu::Adapter,
@@ -110,7 +109,7 @@ impl WarmUp {
 }
 
 impl Draw {
-    /// Whether it was submitted, and is drawn.
+    /// Draws once; returns whether it was submitted and is done.
     fn run(
         &self,
         device: &wgpu::Device,
@@ -147,7 +146,7 @@ impl Draw {
             pass.draw(0..3, 0..1);
         }
         let Some(submission) = submit(encoder.finish()) else { return Ok(false) };
-        // In short waits: a long one keeps others from destroying what they no longer need.
+        // The waits are short, because a long one keeps others from destroying resources.
         let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(WAIT) };
         loop {
             let what = "drawing one pixel";
@@ -169,6 +168,6 @@ impl Draw {
 
 /// Draws for the first picture: of one frame, and of a smaller picture enlarged.
 const NUM_AT_ONCE: usize = 2;
-/// The cache is written by a thread of the driver.
+/// A thread of the driver writes the cache.
 const CACHE_DELAY: Duration = Duration::from_millis(50);
 const WAIT: Duration = Duration::from_millis(10);

@@ -1,4 +1,4 @@
-//! What of a volume is looked at.
+//! Arguments for the visible part of a volume.
 
 use clap::Args;
 use glam::Vec3;
@@ -9,17 +9,17 @@ use isinglass_core::space::Aabb;
 #[derive(Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Clipping")]
 pub(crate) struct ClipArgs {
-    /// Show only what is inside of a box: its ends along x, y and z in the unit of the voxels' spacing, from the middle of
-    /// the volume
+    /// Show only what is inside a box: its ends along x, y and z in the unit of the voxels' spacing, relative to the
+    /// middle of the volume
     #[arg(long, value_name = "X0,X1,Y0,Y1,Z0,Z1", value_parser = parse_box, allow_hyphen_values = true)]
     clip_box: Option<Aabb>,
-    /// Show only what is on one side of a plane, the points p with n·p ≥ d; N of any length, D in the same unit
+    /// Show only what is on one side of a plane: the points p with n·p ≥ d; N has any length, D the same unit
     #[arg(long, value_name = "NX,NY,NZ,D", value_parser = parse_plane, allow_hyphen_values = true)]
     clip_plane: Option<Plane>,
 }
 
 impl ClipArgs {
-    /// Both.
+    /// Combines both.
     pub(crate) fn clip(&self) -> Clip {
         Clip { bounds: self.clip_box, plane: self.clip_plane }
     }

@@ -1,4 +1,4 @@
-//! Which flags a person gave: those hold, whatever a state or a file of settings says.
+//! The flags that the user gave: they override a state and settings.
 
 use std::collections::HashSet;
 
@@ -6,16 +6,16 @@ use clap::ArgMatches;
 use clap::parser::ValueSource;
 use isinglass_client::Bindings;
 
-/// The arguments of a command that stood on its command line, and what no argument says.
+/// The arguments given on a command's command line, and the bindings, which no argument sets.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Given {
     fields: HashSet<String>,
-    /// What keys and mouse do in a window.
+    /// Keys and mouse of a window.
     pub(crate) bindings: Bindings,
 }
 
 impl Given {
-    /// Those of the command that was called.
+    /// The arguments of the called command.
     pub(crate) fn of(matches: &ArgMatches, bindings: Bindings) -> Self {
         let Some((_, command)) = matches.subcommand() else {
             return Self { bindings, ..Self::default() };
@@ -25,7 +25,7 @@ impl Given {
         Self { fields: ids.map(str::to_owned).collect(), bindings }
     }
 
-    /// Whether the argument with this name of a field was given.
+    /// Whether the argument with this field name was given.
     pub(crate) fn has(&self, field: &str) -> bool {
         self.fields.contains(field)
     }

@@ -1,23 +1,23 @@
-//! The flags of `render` and `reproject` that make a picture of several views: stereo pair, depth of field, motion blur.
+//! The flags of `render` and `reproject` that combine several views: stereo pair, depth of field, motion blur.
 
 use anyhow::{Context, Result};
 use clap::Args;
-use isinglass_bench::output::Rgb8;
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::lens::{Exposure, MAX_SAMPLES, View};
 use isinglass_core::orbit::Orbit;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
+use isinglass_formats::png::Rgb8;
 use serde_json::{Value, json};
 
-/// Lengths are in radii of the volume's bounding sphere, as DIST of `--orbit` is.
+/// Lengths are in radii of the volume's bounding sphere, like DIST of `--orbit`.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Lens (lengths in radii of the volume's bounding sphere, as DIST)")]
 #[command(group(clap::ArgGroup::new("averaged").args(["aperture", "shutter"]).multiple(true)))]
 #[command(group(clap::ArgGroup::new("focused").args(["aperture", "stereo"]).multiple(true)))]
 pub(crate) struct LensArgs {
-    /// Two views, from eyes IPD apart, the left one on the left; a thirtieth of the distance is comfortable. A negative
-    /// IPD swaps them, for crossed eyes
+    /// Two views from eyes IPD apart, the left one on the left; a thirtieth of the distance is comfortable. A
+    /// negative IPD swaps them, for crossed eyes
     #[arg(long, value_name = "IPD", value_parser = parse_ipd, allow_hyphen_values = true)]
     stereo: Option<f32>,
     /// Both eyes in one picture for red-cyan glasses: red from the left eye, green and blue from the right
@@ -26,25 +26,25 @@ pub(crate) struct LensArgs {
     /// Radius of a thin lens: what is not at the focus is blurred
     #[arg(long, value_name = "RADIUS", value_parser = parse_aperture)]
     aperture: Option<f32>,
-    /// View depth of the plane that is sharp, and that both eyes see at the same place [default: that of the volume's
+    /// View depth of the plane that is sharp, and that both eyes see in the same place [default: that of the volume's
     /// centre]
     #[arg(long, value_name = "DIST", value_parser = parse_focus, requires = "focused")]
     focus: Option<f32>,
-    /// Where the camera is when the shutter closes, having turned around the volume's centre: motion blur [DIST: as far
-    /// away as it began]
+    /// Camera position when the shutter closes, after turning around the volume's centre: motion blur [DIST: the
+    /// initial distance]
     #[arg(long, value_name = "AZ,EL[,DIST]", allow_hyphen_values = true)]
     shutter: Option<Orbit>,
-    /// Views to average for --aperture and --shutter, an eye [default: 64]
+    /// Views per eye to average for --aperture and --shutter [default: 64]
     #[arg(long, value_name = "N", value_parser = parse_samples, requires = "averaged")]
     samples: Option<u32>,
 }
 
-/// The views to draw, and how their pictures become one.
+/// The views to draw, and how to combine their pictures.
 pub(crate) struct Plan {
-    /// For each eye the views whose mean it sees: one or two.
+    /// For each of one or two eyes, the views whose mean it sees.
     eyes: Vec<Vec<View>>,
     is_anaglyph: bool,
-    /// What to tell of it.
+    /// The JSON description of it.
     pub(crate) json: Value,
 }
 
@@ -54,8 +54,8 @@ impl LensArgs {
         self.stereo.is_some()
     }
 
-    /// `bounds` is a box around the volume with its centre and its bounding sphere, whose axes point to `letters`. On a
-    /// turntable the camera has been turned by so many degrees, and where the shutter closes is to be, too.
+    /// `bounds` is a box around the volume with its centre and its bounding sphere, whose axes point to `letters`. On
+    /// a turntable, the camera and the shutter's end are turned by `degrees`.
     pub(crate) fn plan(
         &self,
         camera: &Camera,
@@ -112,7 +112,7 @@ impl LensArgs {
 }
 
 impl Plan {
-    /// Draws the pictures of all eyes. `mean` gives the mean of a few views.
+    /// Draws the pictures of all eyes. `mean` renders the mean of several views.
     pub(crate) fn draw<E>(
         &self,
         mean: impl FnMut(&Vec<View>) -> Result<Picture, E>,
@@ -120,16 +120,32 @@ impl Plan {
         self.eyes.iter().map(mean).collect()
     }
 
-    /// One picture of those of all eyes.
+    /// Combines the pictures of all eyes.
     pub(crate) fn compose(&self, pictures: &[Picture], background: [u8; 3]) -> Rgb8 {
         match pictures {
             [left, right] => {
                 let (left, right) = (Rgb8::of(left, background), Rgb8::of(right, background));
-                if self.is_anaglyph { left.anaglyph(&right) } else { left.stereo_pair(&right) }
+                if self.is_anaglyph { anaglyph(&left, &right) } else { stereo_pair(&left, &right) }
             }
             pictures => Rgb8::of(&pictures[0], background),
         }
     }
+}
+
+/// What the left eye sees on the left of what the right eye sees. Nothing lies between them: a stereo display splits the
+/// picture in its middle.
+fn stereo_pair(left: &Rgb8, right: &Rgb8) -> Rgb8 {
+    let row_bytes = left.width as usize * 3;
+    let rows = left.bytes.chunks_exact(row_bytes).zip(right.bytes.chunks_exact(row_bytes));
+    let bytes = rows.flat_map(|(left, right)| [left, right]).flatten().copied().collect();
+    Rgb8 { width: left.width * 2, height: left.height, bytes }
+}
+
+/// What the left eye sees in red, and what the right eye sees in green and blue.
+fn anaglyph(left: &Rgb8, right: &Rgb8) -> Rgb8 {
+    let pixels = left.bytes.chunks_exact(3).zip(right.bytes.chunks_exact(3));
+    let bytes = pixels.flat_map(|(left, right)| [left[0], right[1], right[2]]).collect();
+    Rgb8 { bytes, ..*left }
 }
 
 fn parse_ipd(text: &str) -> Result<f32, String> {
@@ -159,12 +175,12 @@ fn parse_length(text: &str) -> Option<f32> {
     text.parse().ok()
 }
 
-/// At 512×512 and a blur of 30 pixels, neighbouring samples are then about four pixels apart.
+/// At 512×512 and a blur of 30 pixels, neighbouring samples are about four pixels apart.
 const DEFAULT_SAMPLES: u32 = 64;
-/// Eyes and lenses wider than that are typing errors.
+/// Wider eyes and lenses are typing errors.
 const MAX_RADII: f32 = 10.0;
 const MIN_FOCUS_RADII: f32 = 1e-3;
-/// As far as an orbit goes.
+/// Greatest distance of an orbit.
 const MAX_FOCUS_RADII: f32 = 1e4;
 
 #[cfg(test)]
@@ -184,5 +200,16 @@ mod tests {
             assert!(parse_focus(bad).is_err(), "{bad}");
         }
         assert!(parse_samples("0").is_err() && parse_samples("4097").is_err());
+    }
+
+    #[test]
+    fn eyes_stay_on_their_side_and_in_their_channels() {
+        let left = Rgb8 { width: 1, height: 2, bytes: vec![1, 2, 3, 4, 5, 6] };
+        let right = Rgb8 { bytes: left.bytes.iter().map(|b| b + 10).collect(), ..left };
+        let pair = stereo_pair(&left, &right);
+        assert_eq!((pair.width, pair.height), (2, 2));
+        assert_eq!(pair.bytes, [1, 2, 3, 11, 12, 13, 4, 5, 6, 14, 15, 16]);
+        assert_eq!(anaglyph(&left, &right).bytes, [1, 12, 13, 4, 15, 16]);
+        assert_ne!(anaglyph(&left, &right), anaglyph(&right, &left));
     }
 }

@@ -1,4 +1,4 @@
-//! The file of a server's volume: which parts it has, and how another one is opened.
+//! The file of a server's volume: its parts, and how to open another one.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -18,13 +18,13 @@ use crate::memory;
 
 /// Opens parts of one file.
 pub(crate) struct FileLoader {
-    /// As for [`open`].
+    /// The source, as for [`open`].
     source: String,
     raw: Option<RawShape>,
     spacing: Option<Vec3>,
-    /// In place of the one that suits each part.
+    /// The transfer function in place of the one that suits each part.
     transfer: Option<TransferFunction>,
-    /// Most bytes of memory of all volumes.
+    /// Most memory for all volumes, bytes.
     max_memory: u64,
 }
 
@@ -32,27 +32,27 @@ pub(crate) struct FileLoader {
 pub(crate) struct OpenedFile {
     /// The voxels.
     pub(crate) volume: Arc<Volume>,
-    /// How they are seen at first.
+    /// The first transfer function.
     pub(crate) transfer: TransferFunction,
-    /// What else there is.
+    /// The rest of the file.
     pub(crate) library: Library,
 }
 
 impl FileLoader {
-    /// Of the file of `request`, whose limit of memory is that of all volumes. `transfer` is a preset or a file, or none for the
-    /// one that suits each part.
+    /// A loader for the file of `request`, whose memory limit covers all volumes. `transfer` is a preset or a file,
+    /// or `None` for the one that suits each part.
     pub(crate) fn new(request: &LoadRequest, transfer: Option<&str>) -> Result<Self> {
         let LoadRequest { source, raw, spacing, max_bytes, .. } = request.clone();
         let transfer = transfer.map(load_transfer).transpose()?;
         Ok(Self { source, raw, spacing, transfer, max_memory: max_bytes })
     }
 
-    /// The header of a part, if there is room for it beside the bytes `held`.
+    /// The header of a part, if there is room for it beside the `held` bytes.
     pub(crate) fn outline(&self, selection: Selection, held: u64) -> Result<Outline, String> {
         let options =
             OpenOptions { max_bytes: self.max_memory.saturating_sub(held), ..self.options(selection) };
         let found = match outline(&self.source, &options) {
-            // All that it needs shall be told, not only what it needs while it is read.
+            // The error must tell everything that it needs, not only the needs of reading.
             Err(FormatError::TooLarge { .. }) => {
                 outline(&self.source, &OpenOptions { max_bytes: u64::MAX, ..options })
             }
@@ -63,7 +63,7 @@ impl FileLoader {
         Ok(found)
     }
 
-    /// A server's library in which `volume`, of this outline, is shown at first.
+    /// A server's library that first shows `volume`, of this outline.
     pub(crate) fn opened(self, volume: Arc<Volume>, outline: &Outline) -> Result<OpenedFile> {
         let transfer = self.transfer_of(&volume);
         let parts = parts_of(outline);
@@ -104,7 +104,7 @@ impl Loader for FileLoader {
     }
 }
 
-/// What there is to choose in a file, as viewers are told.
+/// The choices in a file, as viewers are told.
 fn parts_of(outline: &Outline) -> Choices {
     let count = |n: u64| u32::try_from(n).unwrap_or(u32::MAX).max(1);
     Choices {

@@ -1,31 +1,31 @@
-//! The flags that say where the light is, and how much of matter's own shade is shown.
+//! The flags for the direction of the light and the strength of shade.
 
 use clap::Args;
 use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES};
 
-/// What is not named is as in a look that nobody has changed.
+/// Flags that are not given keep the defaults of a look.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Light")]
 pub(crate) struct LightArgs {
-    /// Ambient occlusion: how much darker matter is that sees little of the sky, 0 to 1
+    /// Ambient occlusion: how much matter darkens that sees little of the sky, 0 to 1
     #[arg(long, value_name = "S", value_parser = parse_strength, default_value_t = Lighting::default().ambient_occlusion)]
     ambient_occlusion: f32,
-    /// How far matter takes the sky from other matter, in radii of the volume's bounding sphere
+    /// Distance over which matter occludes the sky, in radii of the volume's bounding sphere
     #[arg(long, value_name = "R", value_parser = parse_reach, default_value_t = Lighting::default().occlusion_radius)]
     occlusion_radius: f32,
-    /// Shadows: how much of the light comes from one place, 0 to 1
+    /// Shadows: fraction of the light that comes from one place, 0 to 1
     #[arg(long, value_name = "S", value_parser = parse_strength, default_value_t = Lighting::default().shadows)]
     shadows: f32,
-    /// Angular radius of the light, degrees: how soft shadows are
+    /// Angular radius of the light, degrees: softness of the shadows
     #[arg(long, value_name = "DEG", value_parser = parse_softness, default_value_t = Lighting::default().softness_degrees)]
     softness: f32,
-    /// Where the light comes from, as --orbit says where the eye is: degrees, fixed to the volume [default: -34.29,36.9]
+    /// Direction of the light, in degrees like the eye's in --orbit, fixed to the volume [default: -34.29,36.9]
     #[arg(long, value_name = "AZ,EL", value_parser = parse_light, allow_hyphen_values = true)]
     light: Option<[f32; 2]>,
 }
 
 impl LightArgs {
-    /// In the terms of a look.
+    /// The lighting for a look.
     pub(crate) fn lighting(&self) -> Lighting {
         let defaults = Lighting::default();
         let [azimuth_degrees, elevation_degrees] =

@@ -1,4 +1,4 @@
-//! Servers in this process, for volumes that are opened in the viewer's window; and where the window keeps its list.
+//! Servers in this process for volumes that are opened in the viewer's window, and the folder of the window's list.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,16 +18,16 @@ use crate::library::FileLoader;
 use crate::memory;
 use crate::state_args::Seen;
 
-/// Starts them.
+/// Starts local servers.
 pub(crate) struct Locals {
     backend: BackendChoice,
-    /// Opened with the first volume, and kept: a device takes a while to open.
+    /// The backend, opened with the first volume and kept, because opening takes a while.
     opened: Mutex<Option<Backend>>,
     max_memory: u64,
     first: Mutex<Option<FirstLook>>,
 }
 
-/// How the volume that a command names looks at first; what else is opened in its window looks as suits it.
+/// The look of a command's volume when it first opens. Other volumes in its window get one that suits them.
 pub(crate) struct FirstLook {
     pub(crate) source: String,
     pub(crate) seen: Seen,
@@ -85,7 +85,7 @@ impl LocalServers for Locals {
             Ok::<_, String>((server, link))
         });
         let (server, link) = started?;
-        // Only once: opened again, it looks as suits it.
+        // This applies only once: opened again, it gets a look that suits it.
         first.take_if(|first| first.source == request.source);
         Ok(LocalServer { link, server: Box::new(Running(Some((runtime, server)))) })
     }
@@ -103,7 +103,7 @@ impl Drop for Running {
     }
 }
 
-/// What a window with a start page needs, or one that begins with the volume of `first`.
+/// The services of a window with a start page, or of one that begins with the volume of `first`.
 pub(crate) fn services(backend: BackendChoice, max_memory: u64, first: Option<FirstLook>) -> Services {
     let (opened, first) = (Mutex::new(None), Mutex::new(first));
     Services {
@@ -113,7 +113,7 @@ pub(crate) fn services(backend: BackendChoice, max_memory: u64, first: Option<Fi
     }
 }
 
-/// Where this user's programs keep what they remember from one start to the next.
+/// The folder where this user's programs keep their state.
 fn state_folder() -> Option<PathBuf> {
     let variable = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let folder = if cfg!(windows) {

@@ -1,8 +1,8 @@
 //! Remote volume rendering with layered frames: the command line.
 //!
-//! Reads arguments, starts and stops; everything else is done by the crates below. Results go to standard output,
-//! progress and errors to standard error. The exit code is 0 on success, 2 on bad usage and 1 on failure, and an error
-//! is one line.
+//! This crate parses arguments, starts and stops; the crates below do everything else. Results go to standard output,
+//! progress and errors to standard error. The exit code is 0 on success, 2 on bad usage and 1 on failure. An error is
+//! one line.
 
 mod args;
 mod clip_args;
@@ -64,12 +64,12 @@ fn main() -> ExitCode {
     }
 }
 
-/// The command line without what settings say.
+/// The command line without settings.
 fn command() -> clap::Command {
     let has = |command: &clap::Command, id: &str| command.get_arguments().any(|a| a.get_id() == id);
     let command = config::with_flags(Cli::command());
     commands::WITH_STATE.iter().fold(command, |command, name| {
-        // A state may say where its volume is, and who asks for settings opens none.
+        // A state may name the volume, and printing settings opens none.
         command.mut_subcommand(name, |c| {
             let others: Vec<_> = ["state", config::PRINT].into_iter().filter(|id| has(&c, id)).collect();
             c.mut_arg("volume", |volume| volume.required(false).required_unless_present_any(others))

@@ -1,13 +1,13 @@
-//! How much memory volumes may take.
+//! The memory limit for volumes.
 
 use clap::Args;
 use isinglass_client::format_bytes;
 
-/// The limit, and where it comes from if nobody names one.
+/// The limit, and its default.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct MemoryArgs {
-    /// Most memory that volumes may take, the one that is shown and one that is being read, such as 12GB or 500MB [default:
-    /// three quarters of the machine's]
+    /// Most memory for volumes, the shown one and one being read together, such as 12GB or 500MB [default: three
+    /// quarters of the machine's]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     max_memory: Option<u64>,
 }
@@ -19,7 +19,7 @@ impl MemoryArgs {
     }
 }
 
-/// Whether a volume that needs so much can be held beside what is held already; one line if not.
+/// Checks whether a volume that needs `needed` bytes fits beside the `held` ones; the error is one line.
 pub(crate) fn check(name: &str, needed: u64, held: u64, limit: u64) -> Result<(), String> {
     if needed.saturating_add(held) <= limit {
         return Ok(());
@@ -52,7 +52,7 @@ fn parse_bytes(text: &str) -> Result<u64, String> {
     bytes.map(|b| b as u64).ok_or_else(|| "expected a size such as 12GB, 500MB or 1.5GiB".into())
 }
 
-/// Bytes of memory that this machine, or the container that this process runs in, has.
+/// Memory of this machine, or of this process's container, bytes.
 fn of_machine() -> Option<u64> {
     let read = |path: &str| std::fs::read_to_string(path).ok();
     let number = |text: String| text.trim().parse::<u64>().ok();
@@ -68,13 +68,13 @@ fn of_machine() -> Option<u64> {
     machine.into_iter().chain(group).min()
 }
 
-/// What Linux calls `MemTotal`, in bytes.
+/// `MemTotal` of Linux, in bytes.
 fn total_of(meminfo: &str) -> Option<u64> {
     let line = meminfo.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// The limit where the machine does not say what it has: a volume of 2048³ bytes.
+/// The limit if the machine does not report its memory: a volume of 2048³ bytes.
 const UNKNOWN_MACHINE: u64 = 8 << 30;
 
 #[cfg(test)]

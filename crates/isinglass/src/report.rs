@@ -1,4 +1,4 @@
-//! What the user reads: results, errors of one line, and the log.
+//! Everything that the user reads: results, errors of one line, and the log.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -7,12 +7,11 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::error::ErrorKind;
 use isinglass_bench::BenchError;
-use isinglass_bench::output::one_line;
 use isinglass_bench::progress::note;
 use serde::Serialize;
 use tracing_subscriber::EnvFilter;
 
-/// Writes text to standard output. A reader that went away is no failure.
+/// Writes text to standard output. A closed pipe is no failure.
 pub(crate) fn print(text: &str) -> Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
@@ -26,7 +25,7 @@ pub(crate) fn print_json(object: &impl Serialize) -> Result<()> {
     print(&(serde_json::to_string_pretty(object)? + "\n"))
 }
 
-/// Tells of bad usage in one line, or shows the help that was asked for.
+/// Reports bad usage in one line, or shows the requested help.
 pub(crate) fn usage(error: &clap::Error) -> ExitCode {
     let is_answer = matches!(
         error.kind(),
@@ -35,11 +34,11 @@ pub(crate) fn usage(error: &clap::Error) -> ExitCode {
             | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
     );
     if is_answer {
-        // Nobody may be listening, which is no reason to fail.
+        // A closed stream is no reason to fail.
         let _ = error.print();
         return ExitCode::from(error.exit_code() as u8);
     }
-    // The first paragraph says what is wrong; behind it stand hints and the usage.
+    // The first paragraph states the problem; hints and usage follow.
     let text = error.to_string();
     let cause = text.split("\n\n").next().unwrap_or_default();
     let cause = cause.strip_prefix("error: ").unwrap_or(cause);
@@ -47,9 +46,14 @@ pub(crate) fn usage(error: &clap::Error) -> ExitCode {
     ExitCode::from(USAGE)
 }
 
-/// Tells of a failure in one line.
+/// Text of several lines as one.
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Reports a failure in one line.
 pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
-    // What only several arguments together show to be bad usage.
+    // Some bad usage only appears when several arguments are combined.
     if let Some(error) = error.downcast_ref() {
         return usage(error);
     }
@@ -63,8 +67,7 @@ pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
     if is_usage { ExitCode::from(USAGE) } else { ExitCode::FAILURE }
 }
 
-/// A line in which links, which may have been given where something else belongs, keep their secret: it may go to a log that
-/// others read.
+/// A line without the secrets of its links, which may stand where something else belongs: others may read the log.
 fn without_tokens(line: &str) -> String {
     let mut parts = line.split(TOKEN);
     let mut shown = parts.next().unwrap_or_default().to_owned();
@@ -76,10 +79,10 @@ fn without_tokens(line: &str) -> String {
     shown
 }
 
-/// Sends the log to standard error: what is at least at `level`, or what `RUST_LOG` names.
+/// Sends the log to standard error, from `level` up or as `RUST_LOG` says.
 pub(crate) fn start_log(level: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    // A second subscriber cannot be installed, and there is none before this one.
+    // Installing fails only with an earlier subscriber, and there is none.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
@@ -87,7 +90,7 @@ pub(crate) fn start_log(level: &str) {
         .try_init();
 }
 
-/// What stands in front of a link's secret.
+/// The text before a link's secret.
 const TOKEN: &str = "token=";
 /// Exit code for bad usage.
 const USAGE: u8 = 2;

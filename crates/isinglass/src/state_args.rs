@@ -1,4 +1,4 @@
-//! `--state`: a command sees what a saved state says, but for the flags that are given.
+//! `--state`: a command uses a saved state, and given flags override it.
 
 use std::path::Path;
 
@@ -27,16 +27,16 @@ use crate::library::OpenedFile;
 use crate::memory::MemoryArgs;
 use crate::window_args::WindowArgs;
 
-/// Where a state is.
+/// The source of a state.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct StateArgs {
-    /// See what a saved state says: a file of the viewer's, or a link that it copied. Flags that are given hold
+    /// Use a saved state: a file of the viewer's, or a link that it copied. Flags override it
     #[arg(long, value_name = "FILE|LINK")]
     state: Option<String>,
 }
 
 impl StateArgs {
-    /// Whether one was named.
+    /// Whether a state was named.
     pub(crate) fn is_some(&self) -> bool {
         self.state.is_some()
     }
@@ -46,7 +46,7 @@ impl StateArgs {
         self.state.as_deref()
     }
 
-    /// Reads the one that was named, or else the one that stands in a link that is followed.
+    /// Reads the named state, or else the one in a link that is followed.
     pub(crate) fn read_or(&self, of_link: Option<&str>, given: Given) -> Result<Seen> {
         match (&self.state, of_link) {
             (None, Some(text)) => Ok(Seen::of(state_from_link(text)?, given)),
@@ -54,7 +54,7 @@ impl StateArgs {
         }
     }
 
-    /// Reads it. What of it is not known here is told on standard error.
+    /// Reads the state. Unknown parts are reported on standard error.
     pub(crate) fn read(&self, given: Given) -> Result<Seen> {
         let Some(text) = &self.state else { return Ok(Seen { state: SavedState::default(), given }) };
         let read = if text.trim_start().starts_with("isinglass://") {
@@ -66,11 +66,11 @@ impl StateArgs {
     }
 }
 
-/// What is to be seen: what a state says where no flag was given.
+/// What to show: a state with given flags on top.
 pub(crate) struct Seen {
-    /// The state; nothing without `--state`.
+    /// The state; empty without `--state`.
     pub(crate) state: SavedState,
-    /// The flags.
+    /// The given flags.
     given: Given,
 }
 
@@ -82,12 +82,12 @@ impl Seen {
         Self { state: read.state, given }
     }
 
-    /// Whether a flag was given that says how a volume looks.
+    /// Whether a flag was given that changes the look.
     pub(crate) fn has_flags_of_look(&self) -> bool {
         OF_LOOK.iter().any(|field| self.given.has(field))
     }
 
-    /// What may be files that are read for a picture.
+    /// Names of possible input files for a picture.
     pub(crate) fn inputs<'a>(
         &'a self,
         volume: &'a VolumeArgs,
@@ -98,14 +98,14 @@ impl Seen {
         [volume.volume.as_deref().or_else(source), state.text(), look.transfer_file()]
     }
 
-    /// Says what a state has that no rendering shows.
+    /// Notes parts of a state that no rendering shows.
     pub(crate) fn note_what_is_not_drawn(&self, has_two_eyes: bool) {
         if self.state.view.stereo.is_some_and(|s| s != StereoPicture::Off) && !has_two_eyes {
             note("note: the state is of two eyes, and one is drawn; see --stereo");
         }
     }
 
-    /// The volume that was named, or else the state's.
+    /// The named volume, or else the state's.
     pub(crate) fn volume(&self, volume: &VolumeArgs) -> Result<VolumeArgs> {
         if volume.volume.is_some() {
             return Ok(volume.clone());
@@ -120,12 +120,12 @@ impl Seen {
         Ok(volume.in_state(source))
     }
 
-    /// The link of the server that shows the state's volume, if it names one.
+    /// The link to the server of the state's volume, if it names one.
     pub(crate) fn link(&self) -> Option<Result<Link, LinkError>> {
         Some(self.state.volume.as_ref()?.link()?.parse())
     }
 
-    /// Opens a volume, and how it is to look. Says so if it is not the state's.
+    /// Opens a volume with its look. Notes if it is not the state's volume.
     pub(crate) fn open(
         &self,
         volume: &VolumeArgs,
@@ -157,7 +157,7 @@ impl Seen {
         Ok((opened, wanted))
     }
 
-    /// How a volume that was opened for a server is to look. Says so if it is not the state's.
+    /// The look of a volume that was opened for a server. Notes if it is not the state's volume.
     pub(crate) fn look_at(
         &self,
         opened: &OpenedFile,
@@ -170,7 +170,7 @@ impl Seen {
         Ok(wanted)
     }
 
-    /// Says what a person should know who sees the volume in this look.
+    /// Notes what a viewer of this volume and look should know.
     fn note_oddities(&self, volume: &Volume, look: &Look) {
         volume.info.warnings.iter().for_each(|warning| note(&format!("note: {warning}")));
         if let Some(difference) = self.state.volume.as_ref().and_then(|v| v.difference_from(volume)) {
@@ -198,9 +198,9 @@ impl Seen {
         })
     }
 
-    /// The state's look with those fields of `flags` that were given.
+    /// The state's look with the given fields of `flags`.
     fn merged(&self, saved: Look, flags: Look) -> Look {
-        // Whoever adds a field says here which flag sets it.
+        // Destructuring makes sure that a new field gets its flag here.
         let Look { transfer, shaded, lighting, k, clip, mode, isos } = flags;
         let mut look = saved;
         let has = |field| {
@@ -247,8 +247,8 @@ impl Seen {
         look
     }
 
-    /// The camera over a volume in `bounds`: the state's, with the size and field of view that were given, or else that of
-    /// `orbit`; turned by `degrees` around the vertical.
+    /// The camera over a volume in `bounds`: the state's with given size and field of view, or else that of `orbit`;
+    /// turned by `degrees` around the vertical.
     pub(crate) fn camera(&self, orbit: &Orbit, degrees: f32, view: &ViewArgs, bounds: &Aabb) -> Camera {
         let flags = view.intrinsics();
         let orbit = orbit.turned(degrees);
@@ -270,12 +270,12 @@ impl Seen {
             intrinsics,
             bounds,
         );
-        // As large as the viewer shows it: at the depth of what its camera turns about.
+        // The size matches the viewer's at the depth of the camera's centre of rotation.
         let (_, eye_from_center) = saved.placement();
         if is_parallel { camera.to_orthographic(eye_from_center.z.abs(), bounds) } else { camera }
     }
 
-    /// Behind the volume.
+    /// The background behind the volume.
     pub(crate) fn background(&self, flag: [u8; 3]) -> [u8; 3] {
         match self.state.view.background {
             Some(Srgb(rgb)) if !self.given.has("background") => rgb,
@@ -283,21 +283,21 @@ impl Seen {
         }
     }
 
-    /// The state for links to a server whose look is `look`: what the look says is the server's to say, and where the volume
-    /// lies on its disk nobody's to know.
+    /// The state for links to a server whose look is `look`. It leaves out the look, which the server decides, and
+    /// the volume's path on its disk, which is private.
     pub(crate) fn for_link(&self, look: &Look) -> Option<String> {
         let volume = self.state.volume.clone().map(SavedVolume::without_place);
         let state = SavedState { volume, look: Some(look.clone()), ..self.state.clone() };
         (self.state != SavedState::default()).then(|| state_to_link(&state))
     }
 
-    /// What keys and mouse do in a window.
+    /// Keys and mouse of a window.
     pub(crate) fn bindings(&self) -> Bindings {
         self.given.bindings.clone()
     }
 
-    /// For a window: its size, in pixels of the state's picture unless one was given, and whether it is the state's; and the
-    /// state with what flags say.
+    /// For a window: its size, taken from the state unless one was given, and whether it is the state's; and the
+    /// state merged with flags.
     pub(crate) fn window(
         &self,
         size: [u32; 2],
@@ -317,7 +317,7 @@ impl Seen {
     }
 }
 
-/// A pose as it is after a turn about `up` through the volume's middle.
+/// A pose turned about the axis `up` through the volume's middle.
 fn turned(pose: Pose, up: Vec3, degrees: f32, bounds: &Aabb) -> Pose {
     if degrees == 0.0 {
         return pose;
@@ -329,7 +329,7 @@ fn turned(pose: Pose, up: Vec3, degrees: f32, bounds: &Aabb) -> Pose {
     }
 }
 
-/// The fields of the flags that say how a volume looks.
+/// The fields of the flags that change the look.
 const OF_LOOK: [&str; 12] = [
     "tf",
     "shading",

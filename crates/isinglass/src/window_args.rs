@@ -1,4 +1,4 @@
-//! How a window shows its picture at first.
+//! The first appearance of a window.
 
 use clap::{Args, ValueEnum};
 use isinglass_client::DEFAULT_EYE_ANGLE_DEGREES;
@@ -6,7 +6,7 @@ use isinglass_formats::{SavedView, Srgb, StereoPicture, Theme};
 
 use crate::args::{Switch, parse_background, parse_rate};
 
-/// What the viewer's panel sets too.
+/// Settings that the viewer's panel offers too.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
@@ -31,7 +31,7 @@ pub(crate) struct WindowArgs {
     /// Angle between the eyes, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_eye_angle, default_value_t = DEFAULT_EYE_ANGLE_DEGREES)]
     eye_angle: f32,
-    /// Refreshes a second that the picture is cast finely enough for while the camera moves [default: the display's]
+    /// Refresh rate to keep while the camera moves, if necessary by a coarser picture [default: the display's]
     #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     pub(crate) refresh: Option<f32>,
 }
@@ -51,7 +51,7 @@ enum StereoChoice {
 }
 
 impl WindowArgs {
-    /// In the terms of a saved state, of which `saved` holds but for the flags that `has` been given.
+    /// The same as a saved state, based on `saved`, with flags where `has` says they were given.
     pub(crate) fn view(&self, saved: SavedView, has: impl Fn(&str) -> bool) -> SavedView {
         let is_on = |switch| switch == Switch::On;
         fn or<T>(saved: Option<T>, is_given: bool, flag: T) -> Option<T> {
@@ -91,5 +91,5 @@ fn parse_eye_angle(text: &str) -> Result<f32, String> {
     degrees.ok_or_else(|| format!("expected 0 to {MAX_EYE_ANGLE_DEGREES} degrees"))
 }
 
-/// As the panel has it.
+/// Greatest angle in the panel.
 const MAX_EYE_ANGLE_DEGREES: f32 = 8.0;

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use isinglass_bench::output::{check_writable, write_whole};
 use isinglass_bench::progress::note;
 use isinglass_bench::scenes::{self, distinct};
 use isinglass_bench::subject::Subject;
@@ -13,6 +12,7 @@ use isinglass_core::clip::Clip;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::orbit::Orbit;
+use isinglass_formats::{check_writable, write_whole};
 use serde::Serialize;
 
 /// What all tables have in common.

@@ -58,14 +58,14 @@ impl QualityOptions {
 #[derive(Clone, Debug, Serialize)]
 pub struct QualityReport {
     /// What holds for all rows.
-    pub conditions: Conditions,
+    pub conditions: QualityConditions,
     /// One for each scene, method, K, way of reading lists and turn.
     pub rows: Vec<QualityRow>,
 }
 
 /// What holds for all rows of a report.
 #[derive(Clone, Debug, Serialize)]
-pub struct Conditions {
+pub struct QualityConditions {
     /// What holds for any table of pictures.
     #[serde(flatten)]
     pub subject: SubjectConditions,
@@ -201,8 +201,8 @@ pub fn timed<T>(mut body: impl FnMut() -> Result<T, LabError>) -> Result<(T, f64
     Ok((result, ms))
 }
 
-fn conditions(options: &QualityOptions, backend: &Backend, failed: Vec<String>) -> Conditions {
-    Conditions {
+fn conditions(options: &QualityOptions, backend: &Backend, failed: Vec<String>) -> QualityConditions {
+    QualityConditions {
         subject: options.subject.conditions(rayon::current_num_threads(), failed),
         backend: backend.description(),
         frame_size: [options.frame_intrinsics.width, options.frame_intrinsics.height],
@@ -247,7 +247,7 @@ fn measure_scene(
         rows.push(mean.row(source, Method::LastImage.name(), 0, angle));
     }
 
-    let truth = Truth { camera_at: &camera_at, pictures: &truth, bounds: &bounds };
+    let truth = TruthPictures { camera_at: &camera_at, pictures: &truth, bounds: &bounds };
     for (rule, methods) in options.of_rules() {
         for k in rule.ks(&options.subject.ks) {
             let camera = orbit.camera(options.frame_intrinsics, &bounds);
@@ -292,7 +292,7 @@ impl Made {
 }
 
 /// What pictures are compared with.
-struct Truth<'a> {
+struct TruthPictures<'a> {
     camera_at: &'a dyn Fn(f32) -> Camera,
     /// By the bits of the angle.
     pictures: &'a BTreeMap<u32, Vec<u8>>,
@@ -306,7 +306,7 @@ fn measure_method(
     source: &SceneSource,
     made: &Made,
     method: Method,
-    truth: &Truth<'_>,
+    truth: &TruthPictures<'_>,
     rows: &mut Vec<QualityRow>,
 ) -> Result<(), LabError> {
     // Lists without an end may be more than a GPU holds.

@@ -1,14 +1,14 @@
-//! The clock that stamps are read from.
+//! The clock behind all stamps.
 
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Microseconds since some moment of this process. Cloning gives the same clock.
+/// Microseconds since some moment of this process. Clones are the same clock.
 #[derive(Clone)]
 pub struct Clock(Arc<dyn Fn() -> u64 + Send + Sync>);
 
 impl Clock {
-    /// A clock that is 0 now and follows the machine's monotonic clock.
+    /// A clock that starts at 0 and follows the machine's monotonic clock.
     pub fn start() -> Self {
         let epoch = Instant::now();
         Self::new(move || epoch.elapsed().as_micros() as u64)

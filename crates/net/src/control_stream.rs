@@ -3,13 +3,13 @@
 use isinglass_core::wire::control::{self, ControlError, Message};
 use quinn::{ReadExactError, RecvStream, SendStream, WriteError};
 
-/// Why no message came.
+/// Why no message arrived.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ReceiveError {
     /// The stream or the connection ended.
     #[error("the control stream ended: {0}")]
     Ended(String),
-    /// What came is not a message.
+    /// The bytes are no message.
     #[error(transparent)]
     Control(#[from] ControlError),
 }
@@ -35,7 +35,7 @@ pub(crate) enum SendError {
     /// The stream or the connection ended.
     #[error("the control stream ended: {0}")]
     Ended(#[from] WriteError),
-    /// The message is not fit to be sent.
+    /// The message is not valid.
     #[error(transparent)]
     Control(#[from] ControlError),
 }

@@ -1,8 +1,7 @@
-//! Certificates, their fingerprints, and the TLS on both sides.
+//! Certificates, their fingerprints, and TLS on both sides.
 //!
-//! A server makes its own certificate; a client accepts exactly the one whose SHA-256 is in the link. Names, dates
-//! and issuers play no part. The signature of the handshake is verified, so that a copy of the certificate is not
-//! enough.
+//! A server makes its own certificate. A client accepts only the one whose SHA-256 is in the link; names, dates and
+//! issuers do not matter. The handshake's signature is verified, so a copy of the certificate is not enough.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -22,13 +21,13 @@ pub struct Identity {
     key: PrivatePkcs8KeyDer<'static>,
 }
 
-/// Why there is no identity or no secret.
+/// Why there is no identity or secret.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentityError {
     /// The certificate could not be made.
     #[error("cannot make a certificate: {0}")]
     Certificate(#[from] rcgen::Error),
-    /// TLS does not accept it.
+    /// TLS rejects it.
     #[error("cannot set up TLS: {0}")]
     Tls(String),
     /// The operating system gives no random numbers.
@@ -49,7 +48,7 @@ impl Identity {
         Ok(Self { certificate, key: key.into() })
     }
 
-    /// What a link says of this certificate.
+    /// The certificate's fingerprint, for links.
     pub fn fingerprint(&self) -> Fingerprint {
         Fingerprint::of(&self.certificate)
     }
@@ -64,7 +63,7 @@ impl Identity {
             .with_single_cert(vec![self.certificate.clone()], key)
             .map_err(tls_error)?;
         config.alpn_protocols = vec![ALPN.to_vec()];
-        // Tickets of TLS would be a second way in; ours are in the control stream.
+        // TLS tickets would be a second way in; ours travel on the control stream.
         config.send_tls13_tickets = 0;
         quinn::crypto::rustls::QuicServerConfig::try_from(config)
             .map_err(|e| IdentityError::Tls(e.to_string()))
@@ -126,7 +125,7 @@ pub fn random_token() -> Result<Token, IdentityError> {
     Ok(Token::new(bytes))
 }
 
-/// TLS of a client that accepts one certificate, and the place where a mismatch is told.
+/// A client's TLS that accepts one certificate, and the record of a mismatch.
 ///
 /// # Errors
 /// If TLS cannot be set up.
@@ -149,7 +148,7 @@ pub fn pinned_tls(
     Ok((config, mismatch))
 }
 
-/// The fingerprint that a server showed instead of the expected one.
+/// The fingerprint of a server that showed another certificate than expected.
 #[derive(Debug, Default)]
 pub struct Mismatch(Mutex<Option<Fingerprint>>);
 
@@ -159,7 +158,7 @@ impl Mismatch {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Forgets it: the expected server has been found, perhaps at another of its addresses.
+    /// Forgets the mismatch: the expected server has been found, perhaps at another of its addresses.
     pub fn forget(&self) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
@@ -218,7 +217,7 @@ impl ServerCertVerifier for PinnedVerifier {
     }
 }
 
-/// The name in the certificate and in the handshake. It identifies nothing.
+/// The name in the certificate and the handshake. It identifies nothing.
 pub(crate) const SERVER_NAME: &str = "isinglass";
 const FINGERPRINT_PREFIX: &str = "sha256:";
 

@@ -1,4 +1,4 @@
-//! The ledger of a server's session beside the clock that its stamps are read from.
+//! The ledger of a server's session, with the clock of its stamps.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -7,7 +7,7 @@ use isinglass_core::session::ledger::{Ledger, Life, Stage};
 
 use crate::clock::Clock;
 
-/// The lives of the frames of one session. Clones are the same.
+/// The lives of one session's frames. Clones share them.
 #[derive(Clone, Debug)]
 pub struct Journal {
     clock: Clock,
@@ -37,23 +37,23 @@ impl Journal {
         self.ledger().stamp(now, frame, stage);
     }
 
-    /// A frame has so many bytes.
+    /// Adds to the bytes of a frame.
     pub fn add_bytes(&self, frame: FrameId, bytes: u64) {
         self.ledger().add_bytes(frame, bytes);
     }
 
-    /// A frame is not worked on any more.
+    /// Work on a frame has stopped.
     pub fn give_up(&self, frame: FrameId) {
         self.ledger().give_up(frame);
     }
 
-    /// The last lives, oldest first.
+    /// The recent lives, oldest first.
     pub fn lives(&self) -> Vec<Life> {
         self.ledger().iter().copied().collect()
     }
 
     fn ledger(&self) -> MutexGuard<'_, Ledger> {
-        // Its methods change single lives.
+        // Every change is to a single life, so a panic leaves the ledger in order.
         self.ledger.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

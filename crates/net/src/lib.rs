@@ -1,8 +1,8 @@
-//! Drives the sessions of `isinglass-core` over QUIC: certificates and links, a server, a client that never makes a
-//! display loop wait, and a link conditioner that puts delay, loss and a narrow pipe under real endpoints.
+//! Carries the sessions of `isinglass-core` over QUIC: certificates and links, a server, a client that never blocks a
+//! display loop, and a link conditioner that adds delay, loss and a rate limit to real endpoints.
 //!
-//! This crate holds no rule of the protocol: which chunk is worth sending, who is let in and what is decoded next is
-//! decided by `isinglass_core::session`; here are sockets, streams, timers, threads and the generator of secrets.
+//! This crate holds no rule of the protocol. `isinglass_core::session` decides which chunks to send, whom to admit
+//! and what to decode. Here are sockets, streams, timers, threads and the generator of secrets.
 
 pub mod client;
 mod clock;

@@ -1,10 +1,10 @@
-//! The link that a server prints and a viewer is given:
-//! `isinglass://host:port/#token=<32 hex digits>&cert=sha256:<64 hex digits>`, with or without `&state=<what to show>`.
+//! The link that a server prints for a viewer: `isinglass://host:port/#token=<32 hex digits>&cert=sha256:<64 hex
+//! digits>`, optionally with `&state=<what to show>`.
 //!
-//! All that is secret stands behind the `#`, which browsers and proxies do not pass on. `Debug` hides the token.
+//! Secrets stand behind the `#`, which browsers and proxies do not pass on. `Debug` hides the token.
 //!
-//! A link that a viewer copies for others has a state and no token ([`Link::of_state`]): its own token is used up, and who
-//! gets in is the server's to say. [`state_of_link`] finds the state in either kind.
+//! A link that a viewer copies for others has a state but no token ([`Link::of_state`]): its own token is used up,
+//! and the server decides who gets in. [`state_of_link`] finds the state in either kind.
 
 use std::fmt;
 use std::str::FromStr;
@@ -13,34 +13,34 @@ use isinglass_core::wire::Token;
 
 use crate::identity::Fingerprint;
 
-/// Where a server is, whom to expect there, and what to show at the door.
+/// The address of a server, its identity, and the view to open.
 #[derive(Clone, Debug)]
 pub struct Link {
-    /// Name or address, an IPv6 address without its brackets.
+    /// Name or address; an IPv6 address without brackets.
     pub host: String,
     /// UDP port.
     pub port: u16,
-    /// Lets one viewer in.
+    /// Admits one viewer.
     pub token: Token,
-    /// Of the server's certificate.
+    /// Fingerprint of the server's certificate.
     pub fingerprint: Fingerprint,
-    /// What to show at first, in the characters of base64url; what they mean is not known here.
+    /// The first view in base64url characters, which this crate does not interpret.
     pub state: Option<String>,
 }
 
 impl Link {
-    /// Where the server is, `host:port`.
+    /// The server's address as `host:port`.
     pub fn place(&self) -> String {
         place_of(&self.host, self.port)
     }
 
-    /// A link to the same server that shows `state` and lets nobody in.
+    /// A link to the same server that shows `state` and admits nobody.
     pub fn of_state(&self, state: &str) -> String {
         format!("{SCHEME}{}/#cert={}&state={state}", self.place(), self.fingerprint)
     }
 }
 
-/// Host and port as they are written together: an IPv6 address gets its brackets.
+/// Joins host and port; an IPv6 address gets brackets.
 pub fn place_of(host: &str, port: u16) -> String {
     if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") }
 }
@@ -48,10 +48,10 @@ pub fn place_of(host: &str, port: u16) -> String {
 /// What is wrong with a link.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum LinkError {
-    /// It does not begin as a link.
+    /// It does not begin like a link.
     #[error("not an isinglass link: expected 'isinglass://host:port/#token=…&cert=sha256:…', found '{0}'")]
     Scheme(String),
-    /// Host or port cannot be read.
+    /// The host or port cannot be read.
     #[error("link without a host and port: expected 'host:port' after 'isinglass://', found '{0}'")]
     Authority(String),
     /// A part behind the `#` is missing.
@@ -63,18 +63,18 @@ pub enum LinkError {
     /// The fingerprint cannot be read.
     #[error("link with a damaged certificate fingerprint: {0}")]
     Fingerprint(String),
-    /// The link shows a state, and lets nobody in.
+    /// The link shows a state but admits nobody.
     #[error(
         "a link without a token shows a view to those who have a link of their own: open that one with --state and this link, \
          or paste this one into the viewer's window"
     )]
     StateOnly,
-    /// The state is too long or has other characters than it may.
+    /// The state is too long or contains invalid characters.
     #[error(
         "link with a damaged state; it may have been cut or changed when it was copied (a shell needs quotes around it)"
     )]
     State,
-    /// A part behind the `#` is not known.
+    /// A part behind the `#` is unknown.
     #[error("link with an unknown part '{0}', expected 'token', 'cert' and 'state'")]
     Unknown(String),
 }
@@ -98,12 +98,12 @@ impl FromStr for Link {
 /// The state in a link, with or without a token.
 ///
 /// # Errors
-/// If it is no link, or there is no state in it.
+/// If it is no link, or has no state.
 pub fn state_of_link(s: &str) -> Result<String, LinkError> {
     Parts::of(s)?.state.ok_or(LinkError::Missing("state"))
 }
 
-/// What a link says, as far as it does.
+/// The parts of a link that are present.
 struct Parts {
     host: String,
     port: u16,
@@ -117,7 +117,7 @@ impl Parts {
         let s = s.trim();
         let shown = |s: &str| s.chars().filter(|c| !c.is_control()).take(40).collect::<String>();
         let rest = s.strip_prefix(SCHEME).ok_or_else(|| {
-            // Nothing behind the '#' is repeated: it may be secret.
+            // The message omits everything behind the '#', which may be secret.
             LinkError::Scheme(shown(s.split('#').next().unwrap_or_default()))
         })?;
         let (authority, fragment) = rest.split_once('#').unwrap_or((rest, ""));
@@ -153,7 +153,7 @@ impl Parts {
     }
 }
 
-/// The whole link, secret included.
+/// The whole link, with its secret.
 impl fmt::Display for Link {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { token, fingerprint, state, .. } = self;
@@ -163,7 +163,7 @@ impl fmt::Display for Link {
 }
 
 const SCHEME: &str = "isinglass://";
-/// Longest state in a link.
+/// Longest state in a link, characters.
 const MAX_STATE_CHARS: usize = 64 << 10;
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! A session behind one lock. Whoever changes it tells the network's tasks, which poll it then. It is held for moments and
-//! never across a wait, so that a display loop may take it.
+//! A session behind one lock. A change wakes the network's tasks, which then poll it. The lock is held for moments
+//! and never across a wait, so a display loop may take it.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use tokio::sync::watch;
 
 use crate::clock::Clock;
 
-/// See the module.
+/// A session behind its lock.
 #[derive(Debug)]
 pub(crate) struct Talk<S> {
     session: Mutex<S>,
@@ -21,43 +21,43 @@ impl<S> Talk<S> {
         Self { session: Mutex::new(session), changed: watch::Sender::new(()) }
     }
 
-    /// The session. If it is changed, the network's tasks are told when this is dropped.
+    /// Locks the session. When this is dropped after a change, the network's tasks wake.
     pub(crate) fn lock(&self) -> Talking<'_, S> {
         let mut talking = Talking::alone(&self.session);
         talking.changed = Some(&self.changed);
         talking
     }
 
-    /// The same for the network's tasks themselves, which need not be told.
+    /// The same for the network's tasks, without waking them.
     pub(crate) fn lock_quietly(&self) -> Talking<'_, S> {
         Talking::alone(&self.session)
     }
 
-    /// Is told of changes.
+    /// A receiver that is notified of changes.
     pub(crate) fn subscribe(&self) -> watch::Receiver<()> {
         self.changed.subscribe()
     }
 }
 
-/// A session, locked. Whoever holds one must not ask for another.
+/// A locked session. Its holder must not lock it again.
 #[derive(Debug)]
 pub struct Talking<'a, S> {
-    /// Behind it are the tasks that poll the session.
+    /// Wakes the tasks that poll the session.
     changed: Option<&'a watch::Sender<()>>,
     is_changed: bool,
-    /// None while this is dropped.
+    /// `None` only during drop.
     session: Option<MutexGuard<'a, S>>,
 }
 
 impl<'a, S> Talking<'a, S> {
-    /// A session that no network polls.
+    /// A session without a network.
     pub fn alone(session: &'a Mutex<S>) -> Self {
-        // A panic on another thread leaves state that is still in order: every change is one step.
+        // Every change is one step, so a panic on another thread leaves the state in order.
         let session = session.lock().unwrap_or_else(PoisonError::into_inner);
         Self { changed: None, is_changed: false, session: Some(session) }
     }
 
-    /// For what leaves nothing to send: the network's tasks are not told.
+    /// Changes that leave nothing to send: the network's tasks do not wake.
     pub fn quietly(&mut self) -> &mut S {
         self.session.as_mut().expect(HELD)
     }
@@ -80,7 +80,7 @@ impl<S> DerefMut for Talking<'_, S> {
 
 impl<S> Drop for Talking<'_, S> {
     fn drop(&mut self) {
-        // First, so that whoever is told does not run into the lock.
+        // Unlocks first, so that the woken tasks do not block.
         self.session = None;
         if let Some(changed) = self.changed.filter(|_| self.is_changed) {
             changed.send_replace(());
@@ -90,7 +90,7 @@ impl<S> Drop for Talking<'_, S> {
 
 const HELD: &str = "held until it is dropped";
 
-/// Returns when a session is to be polled again: it was changed, or its time has come.
+/// Returns when a session must be polled again: after a change, or at its time.
 pub(crate) async fn until_due(changed: &mut watch::Receiver<()>, clock: &Clock, due: Option<u64>) {
     let wait = Duration::from_micros(due.map_or(0, |due| due.saturating_sub(clock.now_micros())));
     tokio::select! {

@@ -1,4 +1,4 @@
-//! Settings of QUIC, and the codes that connections and streams are closed with.
+//! Settings of QUIC, and the codes that close connections and streams.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,32 +8,32 @@ use quinn::{AckFrequencyConfig, IdleTimeout, TransportConfig, VarInt};
 
 use isinglass_core::wire::POSE_BYTES;
 
-/// A side leaves on its own will.
+/// A side leaves by its own choice.
 pub(crate) const CLOSE_BYE: VarInt = VarInt::from_u32(0);
-/// The client is not let in, or sent away; the reason is one line of text.
+/// The client is refused or dismissed; the reason is one line of text.
 pub(crate) const CLOSE_REFUSED: VarInt = VarInt::from_u32(1);
 /// The peer broke the protocol.
 pub(crate) const CLOSE_PROTOCOL: VarInt = VarInt::from_u32(2);
 /// The same viewer has connected again.
 pub(crate) const CLOSE_REPLACED: VarInt = VarInt::from_u32(3);
-/// The server ends this session; the viewer may come back.
+/// The server ends this session; the viewer may reconnect.
 pub(crate) const CLOSE_SESSION: VarInt = VarInt::from_u32(4);
-/// No packet has come for [`SILENCE_LIMIT`].
+/// No packet arrived for [`SILENCE_LIMIT`].
 pub(crate) const CLOSE_SILENT: VarInt = VarInt::from_u32(5);
-/// A stream's frame is superseded.
+/// The frame of a stream is superseded.
 pub(crate) const RESET_SUPERSEDED: VarInt = VarInt::from_u32(1);
-/// A stream holds something unusable.
+/// The content of a stream is unusable.
 pub(crate) const STOP_UNUSABLE: VarInt = VarInt::from_u32(2);
 
-/// From the first packet to the welcome, for each of handshake and hello.
+/// Time limit for the handshake, and another for the hello up to the welcome.
 pub(crate) const AUTH_DEADLINE: Duration = Duration::from_secs(5);
-/// A client gives a connection up when nothing has come for so long. Keep-alives are answered every
-/// [`KEEP_ALIVE`], so three of them and a long round trip must be lost for it.
+/// A client gives up a silent connection after this time. Keep-alives are answered every [`KEEP_ALIVE`], so that
+/// takes three lost ones and a long round trip.
 pub(crate) const SILENCE_LIMIT: Duration = Duration::from_secs(8);
 const KEEP_ALIVE: Duration = Duration::from_secs(2);
 const IDLE_MILLIS: u32 = 30_000;
 
-/// What both sides share. CUBIC, because quinn's BBR floods narrow links and nobody maintains it.
+/// Settings of both sides. CUBIC, because quinn's BBR floods narrow links and nobody maintains it.
 fn common() -> TransportConfig {
     let mut cubic = CubicConfig::default();
     cubic.initial_window(64 * 1200);
@@ -47,7 +47,7 @@ fn common() -> TransportConfig {
     t
 }
 
-/// The server takes one control stream and small datagrams.
+/// The server accepts one control stream and small datagrams.
 pub(crate) fn server() -> TransportConfig {
     let mut t = common();
     t.max_concurrent_bidi_streams(1u32.into())
@@ -60,16 +60,16 @@ pub(crate) fn server() -> TransportConfig {
     t
 }
 
-/// The client takes frames. At 60 frames a second, 16 chunks each and a round trip of 300 ms, 300 streams are open.
+/// The client accepts frames. At 60 frames a second, 16 chunks each and a round trip of 300 ms, 300 streams are open.
 pub(crate) fn client() -> TransportConfig {
     let mut t = common();
     t.max_concurrent_bidi_streams(0u32.into())
         .max_concurrent_uni_streams(1024u32.into())
         .stream_receive_window((32u32 << 20).into())
         .receive_window((64u32 << 20).into())
-        // Servers send none, but quinn sends none either where it may receive none.
+        // Servers send no datagrams, but quinn sends none either where it may receive none.
         .datagram_receive_buffer_size(Some(2 * POSE_BYTES))
-        // Newest wins: quinn drops the oldest datagrams of a full buffer.
+        // The newest wins: quinn drops the oldest datagrams of a full buffer.
         .datagram_send_buffer_size(2 * POSE_BYTES)
         .keep_alive_interval(Some(KEEP_ALIVE));
     t

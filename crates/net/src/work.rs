@@ -1,21 +1,21 @@
-//! The long pieces of work on a frame, and what follows each of them.
+//! Long work on a frame, and a hook after each piece of it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A long piece of work.
+/// A kind of long work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Work {
-    /// Generating a layered frame.
+    /// Generates a layered frame.
     Generate,
-    /// Making bytes of it.
+    /// Encodes it to bytes.
     Encode,
-    /// Making a frame of bytes.
+    /// Decodes it from bytes.
     Decode,
 }
 
-/// Is called after each piece of work with the time that it took, in the thread that did it; the result goes on when it returns.
-/// Does nothing by default. A test lets work take as long as it does on another machine.
+/// A hook after each piece of work, in the same thread, with the time that it took. The result passes on when the
+/// hook returns. By default it does nothing. A test uses it to simulate a slower machine.
 #[derive(Clone)]
 pub struct AfterWork(Arc<dyn Fn(Work, Duration) + Send + Sync>);
 
@@ -25,7 +25,7 @@ impl AfterWork {
         Self(Arc::new(after))
     }
 
-    /// Does a piece of work, and what follows it.
+    /// Runs a piece of work, and the hook.
     pub fn run<T>(&self, work: Work, body: impl FnOnce() -> T) -> T {
         let started = Instant::now();
         let made = body();

@@ -1,7 +1,7 @@
 //! Full volume rendering, layered frames and novel views by one interface, on the GPU or on the CPU.
 //!
-//! Whoever renders asks for a [`Backend`] and need not know where it runs. This crate has no kernels: those of the GPU are
-//! in `isinglass-gpu`, their twins in `isinglass-core`.
+//! Callers use a [`Backend`] and need not know where it runs. This crate has no kernels: those of the GPU are in
+//! `isinglass-gpu`, their twins in `isinglass-core`.
 
 use std::ops::Range;
 use std::str::FromStr;
@@ -22,13 +22,13 @@ use isinglass_core::transfer::TransferFunction;
 
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
 
-/// What a person asks for.
+/// The user's choice of a backend.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BackendChoice {
-    /// A hardware GPU if there is one, else the CPU.
+    /// A hardware GPU if there is one, or else the CPU.
     #[default]
     Auto,
-    /// A GPU, also one in software; an error without any.
+    /// A GPU, even in software; an error without any.
     Gpu,
     /// The CPU.
     Cpu,
@@ -71,12 +71,12 @@ pub enum Backend {
     Gpu(Gpu),
     /// On the CPU: the twins of core.
     Cpu,
-    /// On the CPU, with layered frames by a rule that a laboratory brings.
+    /// On the CPU, with layered frames by a laboratory's rule.
     Rule(FrameMaker),
 }
 
 impl Backend {
-    /// Opens what was chosen. `Auto` and `Cpu` cannot fail.
+    /// Opens the chosen backend. `Auto` and `Cpu` cannot fail.
     pub fn open(choice: BackendChoice) -> Result<Self, GpuError> {
         match choice {
             BackendChoice::Cpu => Ok(Self::Cpu),
@@ -98,12 +98,12 @@ impl Backend {
         }
     }
 
-    /// Whether its device is gone, so that another is to be opened.
+    /// Whether its device is lost, so that another must be opened.
     pub fn is_lost(&self) -> bool {
         matches!(self, Self::Gpu(gpu) if gpu.is_lost())
     }
 
-    /// This, or where its device is gone one that was opened anew; the CPU if there is none of the kind.
+    /// This backend, or a newly opened one if its device is lost; the CPU if there is none of the kind.
     pub fn reopened(&self) -> Self {
         let Self::Gpu(gone) = self else { return self.clone() };
         if !gone.is_lost() {
@@ -136,8 +136,8 @@ impl Backend {
         })
     }
 
-    /// The picture of a layered frame from a camera. `bounds` is the box of the volume. For several views of one frame
-    /// take [`Backend::reprojector`].
+    /// The picture of a layered frame from a camera. `bounds` is the box of the volume. For several views of one
+    /// frame use [`Backend::reprojector`].
     pub fn raycast(&self, frame: &LayeredFrame, bounds: &Aabb, camera: &Camera) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(gpu) => GpuReprojector::new(gpu, frame, bounds)?.raycast(camera),
@@ -146,8 +146,8 @@ impl Backend {
         }
     }
 
-    /// The picture of at most [`combine::MAX_FRAMES`] layered frames of one volume and look from a camera, the newest first.
-    /// `bounds` is the box of the volume. On the CPU also if the GPU can bind too few buffers for it.
+    /// The picture of at most [`combine::MAX_FRAMES`] layered frames of one volume and look from a camera, the newest
+    /// first. `bounds` is the box of the volume. The CPU steps in if the GPU can bind too few buffers.
     pub fn combine(
         &self,
         frames: &[&LayeredFrame],
@@ -180,7 +180,7 @@ pub enum Renderer {
     Cpu(Box<CpuRenderer>),
 }
 
-/// A scene on the CPU, and what its frames have spent.
+/// A scene on the CPU, with the budget of its frames.
 pub struct CpuRenderer {
     scene: Scene,
     budget: Budget,
@@ -206,7 +206,7 @@ impl Renderer {
         Self::Cpu(Box::new(CpuRenderer::new(scene, None)))
     }
 
-    /// What is drawn.
+    /// The scene.
     pub fn scene(&self) -> &Scene {
         match self {
             Self::Gpu(renderer) => renderer.scene(),
@@ -214,7 +214,7 @@ impl Renderer {
         }
     }
 
-    /// Draws something else from now on.
+    /// Replaces the scene.
     pub fn set_scene(&mut self, scene: Scene) -> Result<(), GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.set_scene(scene),
@@ -225,12 +225,12 @@ impl Renderer {
         }
     }
 
-    /// Draws the same volume with another look from now on. `transfer` must be valid.
+    /// Gives the same volume another look. `transfer` must be valid.
     pub fn set_look(&mut self, transfer: &TransferFunction, settings: MarchSettings) -> Result<(), GpuError> {
         self.set_scene(self.scene().with_look(transfer, settings))
     }
 
-    /// The picture from a camera: full volume rendering. Premultiplied linear.
+    /// The picture from a camera by full volume rendering, premultiplied linear.
     pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.render(camera),
@@ -239,7 +239,7 @@ impl Renderer {
         }
     }
 
-    /// Some rows of [`Self::render`], to the bit: a large picture is made piece by piece.
+    /// Some rows of [`Self::render`], equal to the bit, so that a large picture can be made in pieces.
     pub fn render_rows(&mut self, camera: &Camera, rows: Range<u32>) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.render_rows(camera, rows),
@@ -259,7 +259,7 @@ impl Renderer {
         }
     }
 
-    /// The picture of [`Self::render`], by a march that goes on behind opaque matter to the far side.
+    /// The picture of [`Self::render`], by a march that also covers matter behind opaque matter.
     pub fn render_through(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.render_through(camera),
@@ -268,7 +268,7 @@ impl Renderer {
         }
     }
 
-    /// A layered frame with `header.k` segments a list on average: see [`layering::generate`].
+    /// A layered frame with `header.k` segments per list on average: see [`layering::generate`].
     pub fn generate(&mut self, header: FrameHeader) -> Result<LayeredFrame, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.generate(header),
@@ -280,8 +280,8 @@ impl Renderer {
         }
     }
 
-    /// The same for one frame after another, whose budget follows from what the last one spent. `None` when the frame is no
-    /// longer wanted, which is asked for each row on the CPU and between some passes on a slow GPU.
+    /// The same for successive frames, whose budget follows from the last one. `None` when the frame is no longer
+    /// wanted. The CPU checks that for each row, a slow GPU between some passes.
     pub fn generate_while(
         &mut self,
         header: FrameHeader,
@@ -315,12 +315,12 @@ impl Reprojector {
         }
     }
 
-    /// The novel view from a camera. Premultiplied linear.
+    /// The novel view from a camera, premultiplied linear.
     pub fn raycast(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
         self.raycast_with(camera, &CastOptions::default())
     }
 
-    /// The novel view from a camera, cast as `options` say.
+    /// The novel view from a camera with `options`.
     pub fn raycast_with(&mut self, camera: &Camera, options: &CastOptions) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(reprojector) => reprojector.raycast_with(camera, options),
@@ -334,7 +334,7 @@ impl Reprojector {
         self.raycast_mean_with(views, &CastOptions::default())
     }
 
-    /// The same, cast as `options` say.
+    /// The same with `options`.
     pub fn raycast_mean_with(&mut self, views: &[View], options: &CastOptions) -> Result<Picture, GpuError> {
         check_views(views)?;
         match self {
@@ -344,7 +344,7 @@ impl Reprojector {
     }
 }
 
-/// One pass a view; the sum is made in the same order as on the CPU.
+/// One pass per view; the sum has the same order as on the CPU.
 fn mean_on_gpu(
     views: &[View],
     draw: impl FnMut(&View) -> Result<Picture, GpuError>,

@@ -20,8 +20,7 @@ use crate::ServeError;
 use crate::lights::Lights;
 use crate::selection::SceneNumber;
 
-/// Makes layered frames one after the other, in the order they are asked for. Clones share the thread, which ends
-/// with the last of them.
+/// Makes layered frames in the order of requests. Clones share the thread, which ends with the last of them.
 #[derive(Clone)]
 pub(crate) struct Generator {
     jobs: mpsc::Sender<Job>,
@@ -29,29 +28,29 @@ pub(crate) struct Generator {
     pictures: Arc<Semaphore>,
 }
 
-/// A frame and what it cost.
+/// A frame and its cost.
 pub(crate) struct Generated {
     /// The frame.
     pub(crate) frame: LayeredFrame,
-    /// Marching and layering, µs.
+    /// Time for marching and layering, µs.
     pub(crate) generate_micros: u64,
-    /// Whether matter's shade is a draft: a finer frame can be had when [`Lights::scene`] has worked it out.
+    /// Whether the shade is a draft, so that [`Lights::scene`] can provide a finer one.
     pub(crate) is_draft: bool,
 }
 
-/// Whether a frame is still wanted. Clones are the same wish.
+/// Whether a frame is still wanted. Clones share the answer.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Wish {
     is_over: Arc<AtomicBool>,
 }
 
 impl Wish {
-    /// Whoever makes the frame stops as soon as it asks.
+    /// Cancels the frame; its maker stops at its next check.
     pub(crate) fn give_up(&self) {
         self.is_over.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the frame is wanted.
+    /// Whether the frame is still wanted.
     pub(crate) fn holds(&self) -> bool {
         !self.is_over.load(Ordering::Relaxed)
     }
@@ -60,22 +59,22 @@ impl Wish {
 /// Why there is no frame. The next one may succeed.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum GenerateError {
-    /// What the GPU could not do.
+    /// The GPU has failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A defect. Frames are made on the CPU from then on.
+    /// A panic. The CPU makes all later frames.
     #[error("the renderer failed on this frame")]
     Panicked,
-    /// The wish was given up.
+    /// The frame was cancelled.
     #[error("the frame is no longer wanted")]
     GivenUp,
-    /// Another volume is shown meanwhile.
+    /// Another volume is shown by now.
     #[error("the frame is of a volume that is no longer shown")]
     OtherVolume,
 }
 
 impl GenerateError {
-    /// Whether the renderer is of no use any more; another has taken its place.
+    /// Whether the renderer is lost; another has replaced it.
     pub(crate) fn is_lost(&self) -> bool {
         match self {
             Self::Gpu(e) => e.is_lost(),
@@ -105,14 +104,14 @@ struct FrameJob {
 struct RowsJob {
     scene: SceneNumber,
     look: Look,
-    /// With all of its shade, if it has any.
+    /// The scene with all of its shade, if it has any.
     lit: Option<Scene>,
     camera: Camera,
     first: u32,
     reply: Reply<Picture>,
 }
 
-/// What the thread has.
+/// State of the rendering thread.
 struct RenderThread {
     renderer: Renderer,
     look: Look,

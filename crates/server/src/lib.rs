@@ -32,41 +32,41 @@ use selection::{Present, SceneNumber, SelectionReader};
 
 pub use selection::{Loaded, Loader, Survey};
 
-/// What to serve, and how.
+/// Options of a server.
 pub struct ServeOptions {
     /// The volume.
     pub volume: Arc<Volume>,
-    /// The look that viewers begin with; must be valid.
+    /// The first look of viewers; must be valid.
     pub look: Look,
     /// Where kernels run.
     pub backend: Backend,
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
-    /// How frames are coded.
+    /// The coding of frames.
     pub plan: CodingPlan,
-    /// Viewers at the same time.
+    /// Most viewers at the same time.
     pub max_viewers: u32,
-    /// What else there is in the volume's file, for viewers to choose; none: they cannot choose another part.
+    /// The volume's file, for viewers to choose parts of; `None` if they cannot.
     pub library: Option<Library>,
-    /// Time, as the server sees it.
+    /// Clock and hooks of the server.
     pub timing: Timing,
 }
 
-/// Where times come from.
+/// Clock and hooks.
 #[derive(Clone, Debug, Default)]
 pub struct Timing {
-    /// What all stamps are read from.
+    /// Clock of all stamps.
     pub clock: Clock,
-    /// What follows the generating and coding of frames.
+    /// Hook after generating and coding frames.
     pub after_work: AfterWork,
 }
 
 /// The file that a volume comes from.
 #[derive(Clone)]
 pub struct Library {
-    /// What there is to choose, and what is shown at first.
+    /// The choices, and the part that is shown first.
     pub parts: Choices,
-    /// Opens it.
+    /// Opens parts of it.
     pub loader: Arc<dyn Loader>,
 }
 
@@ -85,12 +85,12 @@ pub enum ServeError {
     /// The thread of the renderer could not be started.
     #[error("cannot start the rendering thread: {0}")]
     Thread(std::io::Error),
-    /// Nor those that help it.
+    /// Its worker threads could not be started.
     #[error("cannot start the rendering threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// A server at work. It stops when this is dropped; [`RunningServer::close`] also tells the viewers.
+/// A running server. It stops when this is dropped; [`RunningServer::close`] also tells the viewers.
 pub struct RunningServer {
     address: SocketAddr,
     commands: mpsc::Sender<Command>,
@@ -99,16 +99,16 @@ pub struct RunningServer {
     serving: JoinHandle<()>,
 }
 
-/// Who is at a server.
+/// The viewers of a server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Attendance {
-    /// Viewers that are here now.
+    /// Number of connected viewers.
     pub connected: usize,
-    /// Links that a viewer has used.
+    /// Number of links that a viewer has used.
     pub used_links: usize,
 }
 
-/// What the owner of a server asks of its task.
+/// Commands of a server's owner to its task.
 enum Command {
     MintLink { host: String, reply: oneshot::Sender<Result<Link, BindError>> },
     Close,
@@ -133,7 +133,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);
     let (orders, orders_out) = mpsc::channel(MAX_ORDERS);
-    // The first frame neither waits for the tables nor takes long because of them, which would be held against its coding.
+    // Building the tables now keeps the first frame's coding time representative.
     tokio::task::spawn_blocking(isinglass_core::codec::prepare);
     tracing::info!(%address, backend = backend.description(), "serving");
     let reader = SelectionReader {
@@ -152,26 +152,26 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     Ok(RunningServer { address, commands, attendance, newest, serving })
 }
 
-/// Orders of parts that wait: the newest counts, and each is taken at once.
+/// Most orders that wait: the newest counts, and each is taken at once.
 const MAX_ORDERS: usize = 16;
 
 impl RunningServer {
-    /// The address that is listened on, with its real port.
+    /// The bound address with its real port.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Who is here, and what changes of it.
+    /// The present viewers, with notification of changes.
     pub fn attendance(&self) -> watch::Receiver<Attendance> {
         self.attendance.clone()
     }
 
-    /// The lives of the frames of the viewer that came last.
+    /// The frames' lives of the newest viewer.
     pub fn newest_journal(&self) -> Option<Journal> {
         self.newest.borrow().clone()
     }
 
-    /// A new link that lets in one viewer, who reaches this server as `host`, or at its own address.
+    /// A new link that admits one viewer, which reaches this server as `host`, or at its own address.
     ///
     /// # Errors
     /// If there are no random numbers or no places.
@@ -186,7 +186,7 @@ impl RunningServer {
         answer.await.unwrap_or(Err(BindError::NoPlaces))
     }
 
-    /// Ends all sessions and waits, for a short time, until the viewers know.
+    /// Ends all sessions and waits briefly until the viewers know.
     pub async fn close(self) {
         let _ = self.commands.send(Command::Close).await;
         let _ = self.serving.await;

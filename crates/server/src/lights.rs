@@ -1,7 +1,7 @@
-//! Scenes of the volume that is shown, whose shade is worked out for the picture that stays, beside the thread that makes frames.
+//! Scenes of the shown volume with final shade, computed beside the rendering thread.
 //!
-//! While somebody changes the look, frames are made with a draft of the shade, on the generator's thread. When the look
-//! rests, the fine one is worked out here, one at a time whoever asks, and frames take it from then on.
+//! While somebody changes the look, the generator makes frames with a draft of the shade. When the look rests, the
+//! final shade is computed here, one look at a time for all viewers. Frames use it from then on.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -16,13 +16,13 @@ use tokio::sync::Semaphore;
 pub(crate) struct Lights {
     /// The volume, under any look.
     base: Arc<Scene>,
-    /// The newest last.
+    /// Known scenes, the newest last.
     known: Arc<Mutex<Vec<(Look, Scene)>>>,
     turns: Arc<Semaphore>,
 }
 
 impl Lights {
-    /// A look that shows each value in any volume as it does in this one.
+    /// A look that shows each value in any volume as this one does.
     pub(crate) fn at_values(&self, look: &Look) -> Look {
         let Scene { volume, histogram, .. } = &*self.base;
         let isos = match look.mode {
@@ -32,7 +32,7 @@ impl Lights {
         Look { transfer: look.transfer.at_values(volume, histogram), isos, ..look.clone() }
     }
 
-    /// `scene` is that of `look`, with all of its shade.
+    /// `scene` belongs to `look` and has all of its shade.
     pub(crate) fn new(scene: &Scene, look: &Look) -> Self {
         let known = vec![(look.clone(), scene.clone())];
         Self {
@@ -47,12 +47,12 @@ impl Lights {
         &self.base.volume
     }
 
-    /// Whether all of the shade of a look is there, or it has none.
+    /// Whether all of a look's shade is there, or it has none.
     pub(crate) fn is_fine(&self, look: &Look) -> bool {
         !look.lighting.is_on() || self.known(look).is_some()
     }
 
-    /// The scene of a look, if it is there. It was used last, then.
+    /// The scene of a look, if known; it becomes the newest.
     pub(crate) fn known(&self, look: &Look) -> Option<Scene> {
         let mut scenes = self.scenes();
         let at = scenes.iter().position(|(known, _)| known.marches_like(look))?;
@@ -60,14 +60,14 @@ impl Lights {
         scenes.last().map(|(_, scene)| scene.clone())
     }
 
-    /// The scene of a look, worked out if it is not there yet. `None` if that failed.
+    /// The scene of a look, computed if necessary. `None` if that failed.
     pub(crate) async fn scene(&self, look: &Look) -> Option<Scene> {
         let turn = self.turns.clone().acquire_owned().await.ok()?;
         if let Some(scene) = self.known(look) {
             return Some(scene);
         }
         let (look, base, known) = (look.clone(), self.base.clone(), self.known.clone());
-        // Whoever asked may have gone meanwhile; what is found serves the next, whose turn comes when this one has ended.
+        // The requester may leave meanwhile. The result serves the next one, whose turn comes when this has ended.
         let work = tokio::task::spawn_blocking(move || {
             let _turn = turn;
             let scene = base.with_look(&look.transfer, look.march_settings());
@@ -86,10 +86,10 @@ impl Lights {
     }
 }
 
-/// Every change is one step.
+/// Every change is one step, so a panic leaves the list in order.
 fn lock(known: &Mutex<Vec<(Look, Scene)>>) -> MutexGuard<'_, Vec<(Look, Scene)>> {
     known.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Looks that are kept, of a byte or two a voxel each: with more of them in use at once, some are worked out again.
+/// Scenes that are kept, of a byte or two per voxel each. With more looks in use at once, some are computed again.
 const MAX_KNOWN: usize = 3;

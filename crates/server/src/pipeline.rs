@@ -1,5 +1,5 @@
-//! The frames of one viewer that are in the works: one being generated, one being coded, one being sent, and at most one in front of
-//! the coder and of the network each. Nothing here waits for the viewer or decides what a frame is of.
+//! One viewer's frames in progress: one is generated, one coded and one sent. At most one waits for the coder, and
+//! one for the network. Nothing here waits for the viewer or decides the content of a frame.
 
 use std::future::pending;
 use std::sync::Arc;
@@ -24,17 +24,17 @@ use crate::ServeError;
 use crate::generator::{GenerateError, Generated, Wish};
 use crate::serving::Common;
 
-/// The threads that encode the frames of all viewers.
+/// The threads that encode all viewers' frames.
 pub(crate) type Coders = Arc<ThreadPool>;
 
-/// Threads of their own: on common ones, encoding a frame and decoding another would each wait for parts of the other.
+/// They are separate because on shared ones, encoding one frame and decoding another would wait for each other.
 pub(crate) fn coders() -> Result<Coders, ServeError> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = ThreadPoolBuilder::new().num_threads(cores.min(MAX_CODERS));
     Ok(Arc::new(threads.thread_name(|i| format!("code {i}")).build()?))
 }
 
-/// A frame is encoded no faster by more.
+/// More threads do not encode a frame faster.
 const MAX_CODERS: usize = 8;
 
 /// A frame on its way to the coder and the network.
@@ -50,7 +50,7 @@ pub(crate) struct Coded {
     pub(crate) ticket: Ticket,
     pub(crate) generated: Generated,
     encoded: EncodedFrame,
-    /// What later frames may be predicted from.
+    /// The reference for later frames.
     pub(crate) reference: Option<Arc<Reference>>,
     pub(crate) encode_micros: u64,
 }
@@ -67,16 +67,16 @@ pub(crate) struct Sent {
     pub(crate) generated: Generated,
 }
 
-/// What a station has done. The frame is out of it, and goes on only if it is handed on.
+/// A station has finished. Its frame moves on only if it is handed on.
 pub(crate) enum Event {
-    /// None: the thread of the renderer has ended.
+    /// The inner `None` means that the rendering thread has ended.
     Generated(Option<Asked>, Option<Result<Generated, GenerateError>>),
-    /// None: the thread has failed.
+    /// `None` means that the thread has failed.
     Coded(Option<Result<Coded, CodecError>>),
     Sent(Result<Sent, SessionClosed>),
 }
 
-/// See the module. `advance` hands frames on; `next` waits for a station.
+/// Holds the frames in progress. `advance` hands them on; `next` waits for a station.
 pub(crate) struct Pipeline {
     frames: FrameSender,
     control: Control,
@@ -85,10 +85,10 @@ pub(crate) struct Pipeline {
     coders: Coders,
     schedule: Schedule,
     generating: Option<At<Outcome, (Asked, Wish)>>,
-    /// Generated, in front of the coder.
+    /// Generated, waits for the coder.
     made: Option<(Asked, Generated)>,
     coding: Option<At<Result<Coded, CodecError>, Ticket>>,
-    /// Coded, in front of the network.
+    /// Coded, waits for the network.
     coded: Option<Coded>,
     sending: Option<At<Result<Sent, SessionClosed>, Ticket>>,
 }
@@ -96,7 +96,7 @@ pub(crate) struct Pipeline {
 /// `None` if the rendering thread has ended.
 type Outcome = Option<Result<Generated, GenerateError>>;
 
-/// A task and what it works on. It ends with this, but for work on threads, which ends with its wish.
+/// A task and its subject. Dropping it ends the task, except work on threads, which its wish ends.
 struct At<T, F> {
     task: JoinHandle<T>,
     of: F,
@@ -111,7 +111,7 @@ impl<T, F> Drop for At<T, F> {
 
 impl Drop for Pipeline {
     fn drop(&mut self) {
-        // Nobody waits for what is on threads.
+        // Nobody waits for work on threads.
         let asked = self.generating.as_ref().map(|at| &at.of.1);
         let coding = self.coding.as_ref().map(|at| &at.of.wish);
         asked.into_iter().chain(coding).for_each(Wish::give_up);
@@ -135,7 +135,7 @@ impl Pipeline {
         }
     }
 
-    /// Whether there is no frame in the works.
+    /// Whether no frame is in progress.
     pub(crate) fn is_idle(&self) -> bool {
         self.generating.is_none()
             && self.made.is_none()
@@ -144,19 +144,19 @@ impl Pipeline {
             && self.sending.is_none()
     }
 
-    /// The viewer needs so long to decode a list; 0: it is not known.
+    /// Sets the viewer's decoding time per list, ns; 0 if unknown.
     pub(crate) fn handle_decoding(&mut self, nanos_per_list: u16) {
         self.schedule.handle_decoding(nanos_per_list);
     }
 
-    /// How long to wait before a frame of `num_lists` lists is begun; none: until a station is done.
+    /// Time until a frame of `num_lists` lists should begin; `None` means after the next station finishes.
     pub(crate) fn begins_in(&self, num_lists: usize) -> Option<Duration> {
         let now = self.now_micros();
         let at = self.schedule.begin_at(now, num_lists)?;
         Some(Duration::from_micros(at.saturating_sub(now)))
     }
 
-    /// Begins a frame, which `making` makes.
+    /// Begins a frame that `making` makes.
     pub(crate) fn generate(
         &mut self,
         asked: Asked,
@@ -170,18 +170,18 @@ impl Pipeline {
         self.generating = Some(At { task: tokio::spawn(making), of: (asked, wish), frame });
     }
 
-    /// What is being generated, and whether it is wanted.
+    /// The frame that is being generated, and whether it is wanted.
     pub(crate) fn generating(&self) -> Option<&(Asked, Wish)> {
         self.generating.as_ref().map(|at| &at.of)
     }
 
-    /// A frame was generated, and waits for the coder.
+    /// A frame is generated and waits for the coder.
     pub(crate) fn put_made(&mut self, asked: Asked, generated: Generated) {
         self.journal.stamp(asked.header.frame, Stage::Generated);
         self.made = Some((asked, generated));
     }
 
-    /// The frame that the coder can begin with now. The one before must be on its way, so that at most one waits.
+    /// Takes the next frame for the coder. The previous one must be on its way, so that at most one waits.
     pub(crate) fn take_made(&mut self) -> Option<(Asked, Generated)> {
         self.made.take_if(|_| self.coding.is_none() && self.coded.is_none())
     }
@@ -210,7 +210,7 @@ impl Pipeline {
         self.coding = Some(At { task, of, frame: header.frame });
     }
 
-    /// A frame was coded, and waits for the network.
+    /// A frame is coded and waits for the network.
     pub(crate) fn put_coded(&mut self, coded: Coded) {
         let header = coded.generated.frame.header;
         self.journal.stamp(header.frame, Stage::Coded);
@@ -218,7 +218,7 @@ impl Pipeline {
         self.coded = Some(coded);
     }
 
-    /// Hands a frame that waits for the network to it, if the one before is through.
+    /// Hands a waiting frame to the network, if the previous one is through.
     pub(crate) fn send(&mut self) {
         let Some(coded) = self.coded.take_if(|_| self.sending.is_none()) else { return };
         let Coded { ticket, generated, encoded, encode_micros, .. } = coded;
@@ -248,7 +248,7 @@ impl Pipeline {
         self.sending = Some(At { task: tokio::spawn(sending.instrument(span)), of, frame: header.frame });
     }
 
-    /// Waits for a station. Nothing is lost if this is dropped.
+    /// Waits for a station. Cancellation loses nothing.
     pub(crate) async fn next(&mut self) -> Event {
         tokio::select! {
             biased;
@@ -264,7 +264,7 @@ impl Pipeline {
 
     fn note_coded(&mut self, coded: Option<Result<Coded, CodecError>>) -> Event {
         let (Some(at), Some(coded)) = (self.coding.take(), coded) else { return Event::Coded(None) };
-        // One that was given up at the last moment is not sent either: no other was predicted from it.
+        // A frame that was given up at the last moment is not sent either: no other was predicted from it.
         let coded =
             coded.and_then(|c| if c.ticket.wish.holds() { Ok(c) } else { Err(CodecError::Abandoned) });
         if coded.is_ok() {
@@ -290,14 +290,14 @@ impl Pipeline {
         Event::Generated(at.map(|at| at.of.0), generated)
     }
 
-    /// A frame that was generated goes no further.
+    /// A generated frame goes no further.
     pub(crate) fn drop_made(&mut self, frame: FrameId) {
         self.schedule.handle_dropped(Station::Code);
         self.journal.give_up(frame);
     }
 
-    /// Gives up the frames for which `is_outdated`, behind the generator. Others may name one in blocks that is coded, so that is sent
-    /// to its end.
+    /// Gives up frames behind the generator for which `is_outdated` holds. A coded frame in blocks is still sent,
+    /// because others may refer to it.
     pub(crate) fn give_up(&mut self, is_outdated: impl Fn(&Sending) -> bool) {
         let is_outdated = |ticket: &Ticket| is_outdated(&ticket.sending);
         if let Some(at) = self.coding.as_ref().filter(|at| is_outdated(&at.of)) {
@@ -319,7 +319,7 @@ impl Pipeline {
     }
 }
 
-/// Waits for a task; for ever if there is none. None if it has failed.
+/// Waits for a task, for ever without one. `None` if it has failed.
 async fn ended<T, F>(at: &mut Option<At<T, F>>) -> Option<T> {
     match at {
         Some(at) => (&mut at.task).await.ok(),

@@ -1,4 +1,4 @@
-//! Pictures that a viewer keeps: one at a time, made between the frames of everyone.
+//! A viewer's screenshots: one at a time, made between everyone's frames.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use tracing::Instrument;
 use crate::generator::Generator;
 use crate::selection::Present;
 
-/// The pictures of one viewer. What is in the making is given up when another is asked for, and with the viewer.
+/// One viewer's screenshots. A new request or the viewer's leaving cancels the one in progress.
 pub(crate) struct Screenshots {
     generator: Generator,
     frames: FrameSender,
@@ -27,7 +27,7 @@ impl Screenshots {
         Self { generator, frames, control, running: None }
     }
 
-    /// Makes a picture under a look in place of the one in the making, or none.
+    /// Cancels the picture in progress and makes the requested one, if any.
     pub(crate) fn set(&mut self, shot: Option<ScreenshotRequest>, look: &Look, present: &Arc<Present>) {
         self.give_up();
         let Some(shot) = shot else { return };
@@ -36,7 +36,7 @@ impl Screenshots {
         let id = shot.id;
         let work = async move {
             match make(&generator, &shot, &look, &present).await {
-                // Where the viewer has left, nobody waits for it.
+                // If the viewer has left, nobody waits for it.
                 Ok(png) => drop(frames.send_screenshot(id, &png).await),
                 Err(why) => {
                     tracing::warn!("no picture: {why}");
@@ -60,7 +60,7 @@ impl Drop for Screenshots {
     }
 }
 
-/// The picture as a PNG file, or one line of why there is none.
+/// The picture as a PNG file, or one line that says why there is none.
 async fn make(
     generator: &Generator,
     shot: &ScreenshotRequest,

@@ -1,4 +1,4 @@
-//! Other parts of the file: reads the one that was asked for last beside the one that is shown, and puts it in its place.
+//! Other parts of the file: it reads the newest request beside the shown part, and then replaces that.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,29 +20,29 @@ use tokio::sync::{mpsc, watch};
 use crate::generator::{Generator, renderer_of};
 use crate::lights::Lights;
 
-/// Opens parts of the volume's file. This crate opens none itself: whoever starts the server brings one.
+/// Opens parts of the volume's file. This crate opens no files itself: the server's owner supplies a loader.
 ///
-/// Both functions are called on threads where waiting is allowed.
+/// Both functions run on threads that may block.
 pub trait Loader: Send + Sync {
-    /// What there is to choose and what of it would be shown, by the header alone.
+    /// The choices in the file and the part that would be shown, from the header alone.
     ///
     /// # Errors
-    /// One line for a person: the part is not there, or needs more memory than it may beside the bytes `held`.
+    /// One line for the user: the part does not exist, or does not fit into memory beside the `held` bytes.
     fn survey(&self, part: &Part, held: u64) -> Result<Survey, String>;
 
-    /// Reads the part. `progress` is told the fraction that was read; reading ends soon after `cancel` becomes true.
+    /// Reads the part. `progress` gets the fraction that was read; reading ends soon after `cancel` becomes true.
     ///
     /// # Errors
-    /// One line for a person.
+    /// One line for the user.
     fn load(&self, part: &Part, progress: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String>;
 }
 
-/// What is known of a part before it is read.
+/// Facts about a part before it is read.
 #[derive(Clone, Debug)]
 pub struct Survey {
-    /// What there is to choose, and what this part is of it.
+    /// The choices in the file, and this part.
     pub parts: Choices,
-    /// Bytes of memory that the part takes, those while it is read included.
+    /// Memory for the part, including what reading takes, bytes.
     pub bytes_needed: u64,
 }
 
@@ -51,32 +51,32 @@ pub struct Survey {
 pub struct Loaded {
     /// The voxels.
     pub volume: Volume,
-    /// The transfer function that suits them; must be valid.
+    /// The transfer function that suits the voxels; must be valid.
     pub transfer: TransferFunction,
 }
 
 /// The volume that is shown.
 #[derive(Debug)]
 pub(crate) struct Present {
-    /// What new viewers are told.
+    /// The greeting of new viewers.
     pub(crate) greeting: Arc<Greeting>,
-    /// Its box.
+    /// The volume's box.
     pub(crate) bounds: Aabb,
-    /// The volume, and its shade.
+    /// The volume and its shade.
     pub(crate) lights: Lights,
-    /// The scene of the generator.
+    /// The generator's scene.
     pub(crate) scene: SceneNumber,
-    /// What else the file holds.
+    /// The choices in the file.
     pub(crate) parts: Option<Choices>,
-    /// Bytes of memory.
+    /// Memory of the volume, bytes.
     bytes: u64,
 }
 
-/// Counts the scenes of a generator.
+/// Number of a generator's scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct SceneNumber(pub(crate) u32);
 
-/// A part of the file that a viewer asks for; none: the one that is being read is no longer wanted.
+/// A viewer's request for a part of the file; `None` cancels the one that is being read.
 pub(crate) type Order = (ViewerId, Option<Part>);
 
 impl Present {
@@ -97,14 +97,14 @@ impl Present {
         }
     }
 
-    /// Whether numbers mean the same in both: those of other times, levels and regions do.
+    /// Whether values mean the same in both, as they do across times, levels and regions.
     pub(crate) fn has_values_like(&self, other: &Self) -> bool {
         let kind = |present: &Self| present.parts.as_ref().map(|p| (p.shown.channel, p.shown.series));
         kind(self).is_some() && kind(self) == kind(other)
     }
 }
 
-/// Reads what is ordered, the newest order at a time, until nobody can order any more.
+/// Reads requested parts, the newest first, until nobody can request any.
 pub(crate) struct SelectionReader {
     pub(crate) loader: Option<Arc<dyn Loader>>,
     pub(crate) backend: Backend,
@@ -118,7 +118,7 @@ pub(crate) struct SelectionReader {
 enum Ended {
     Done,
     Failed(String),
-    /// This order came meanwhile; none: there is nobody left.
+    /// This order has arrived meanwhile; `None` means that nobody is left.
     Interrupted(Option<Order>),
 }
 
@@ -161,7 +161,7 @@ impl SelectionReader {
         });
     }
 
-    /// Reads a part and shows it, unless another order comes before it is there.
+    /// Reads a part and shows it, unless another order arrives first.
     async fn open(&mut self, part: Part) -> Ended {
         let Some(loader) = self.loader.clone() else {
             return Ended::Failed("this server shows this part of its file only".into());
@@ -180,7 +180,7 @@ impl SelectionReader {
             let survey = loader.survey(&part, held)?;
             let tell = |change: &dyn Fn(&mut Load)| {
                 load.send_if_modified(|load| {
-                    // Whoever comes after has taken the place of this one.
+                    // A newer load has replaced this one.
                     let Some(load) = load.as_mut().filter(|_| !cancelled.load(Ordering::Relaxed)) else {
                         return false;
                     };
@@ -191,7 +191,7 @@ impl SelectionReader {
             };
             tell(&|load| load.bytes_needed = survey.bytes_needed);
             let progress = |fraction: f32| {
-                // In steps of a hundredth: nobody sees less.
+                // Steps of a hundredth are fine enough for the eye.
                 let permille = (fraction.clamp(0.0, 1.0) * 100.0) as u16 * 10;
                 tell(&|load| load.state = LoadState::Reading { permille });
             };
@@ -208,7 +208,7 @@ impl SelectionReader {
             read = &mut reading => read,
             order = self.orders.recv() => {
                 drop(cancel);
-                // Two at a time would need memory for both. Of the orders that come meanwhile the newest counts.
+                // Reading two at a time would need memory for both. Of later orders only the newest counts.
                 let mut newest = order;
                 loop {
                     tokio::select! {
@@ -235,7 +235,7 @@ impl SelectionReader {
         }
         self.present.send_replace(Arc::new(present));
         if has_failed {
-            // The memory of the part before is free now.
+            // The previous part's memory is free now.
             let backend = self.backend.clone();
             let again = tokio::task::spawn_blocking(move || backend.renderer(scene)).await;
             if let Ok(Ok(renderer)) = again {
@@ -247,7 +247,7 @@ impl SelectionReader {
     }
 }
 
-/// Tells whoever reads that nobody waits any more.
+/// Cancels the reader when nobody waits any more.
 #[derive(Default)]
 struct CancelOnDrop(Arc<AtomicBool>);
 

@@ -1,4 +1,4 @@
-//! The task of the server, and one task for each viewer.
+//! The server's task, and one task per viewer.
 
 mod frames;
 
@@ -23,7 +23,7 @@ use crate::screenshots::Screenshots;
 use crate::selection::{Order, Present, SelectionReader};
 use crate::{Attendance, Command};
 
-/// What all viewers share.
+/// State that all viewers share.
 #[derive(Clone)]
 pub(crate) struct Common {
     pub(crate) generator: Generator,
@@ -35,7 +35,7 @@ pub(crate) struct Common {
     pub(crate) coders: Coders,
 }
 
-/// Lets viewers in until told to close.
+/// Admits viewers until told to close.
 pub(crate) async fn serve(
     mut server: Server,
     reader: SelectionReader,
@@ -78,22 +78,22 @@ pub(crate) async fn serve(
     server.close().await;
 }
 
-/// One viewer: turns its newest pose into frames until the connection is over.
+/// One viewer: turns its newest pose into frames until the connection ends.
 struct Viewer {
     session: Session,
     common: Common,
-    /// The volume that its frames are of.
+    /// The volume of its frames.
     present: Arc<Present>,
     frames: FramesServer,
-    /// The frames in the works.
+    /// Its frames in progress.
     pipeline: Pipeline,
-    /// Frames that later ones may be predicted from.
+    /// References for later frames.
     sent: References,
     /// The newest frame, once the network has it: at rest it is sent again, finer.
     resting: Option<Sent>,
-    /// Whether it is here for the first time.
+    /// Whether this is its first connection.
     is_new: bool,
-    /// The shade of the look at work, with the version that it is of.
+    /// The shade that is being computed, with its look version.
     refining: Option<(LookVersion, JoinHandle<bool>)>,
     screenshots: Screenshots,
 }
@@ -111,7 +111,7 @@ impl Viewer {
         let plan = common.plan;
         session.frames.set_rate(plan.bytes_per_second);
         let present = common.present.borrow_and_update().clone();
-        // What is being read now is news; what was read before is not.
+        // Only a reading in progress is news for the viewer.
         let is_reading = common.load.borrow_and_update().as_ref().is_some_and(Load::is_reading);
         if is_reading {
             common.load.mark_changed();
@@ -136,7 +136,7 @@ impl Viewer {
 
     async fn run(mut self) {
         tracing::info!("viewer connected");
-        // Another volume may have come since it was let in.
+        // Another volume may have come since its welcome.
         if !Arc::ptr_eq(&self.session.greeting, &self.present.greeting) {
             self.turn_to_present(None);
         } else {
@@ -149,7 +149,7 @@ impl Viewer {
         tracing::info!(frames = self.frames.newest().0, "viewer gone");
     }
 
-    /// Moves frames on, and takes the next thing that happens; false when the viewer has left.
+    /// Moves frames on and handles the next event; false when the viewer has left.
     async fn step(&mut self) -> bool {
         self.take_requests().await;
         self.send_finer();
@@ -178,13 +178,13 @@ impl Viewer {
                 true
             }
             event = self.pipeline.next() => self.handle(event),
-            // Last: while the camera moves there is always another pose.
+            // This comes last because a moving camera always has another pose.
             is_here = self.session.hear() => is_here,
             () = tokio::time::sleep_until(due.unwrap_or_else(Instant::now)), if due.is_some() => true,
         }
     }
 
-    /// Takes what the viewer has asked for by now.
+    /// Takes the viewer's requests so far.
     async fn take_requests(&mut self) {
         let now = self.now_micros();
         let (pose, order, shot, look);
@@ -209,18 +209,18 @@ impl Viewer {
             self.screenshots.set(shot, &look, &self.present);
         }
         if let Some(part) = order {
-            // A reader that is gone leaves the volume as it is.
+            // Without a reader the volume stays as it is.
             let _ = self.common.orders.send((self.session.viewer, part)).await;
         }
     }
 
-    /// The volume is another from now on.
+    /// From now on the viewer gets the present volume.
     fn turn_to_present(&mut self, before: Option<&Present>) {
         let now = self.now_micros();
         let Present { greeting, lights, .. } = &*self.present;
         {
             let mut talk = self.session.talk();
-            // What has one value has one colour, now and later.
+            // Equal values keep their colours.
             let before = before.filter(|before| before.has_values_like(&self.present));
             let at_values = before.map(|before| before.lights.at_values(talk.look.look()));
             let volume = greeting.volume.clone();
@@ -232,7 +232,7 @@ impl Viewer {
         self.tell_oddities();
     }
 
-    /// What a person should know who sees the volume.
+    /// Tells the user about oddities of the volume.
     fn tell_oddities(&self) {
         let warnings = &self.present.lights.volume().info.warnings;
         if !warnings.is_empty() {
@@ -246,8 +246,8 @@ impl Viewer {
         }
     }
 
-    /// Works out the shade of a look that rests beside the frames, and gives up that of one that is replaced. Returns when
-    /// to ask again.
+    /// Computes the shade of a resting look beside the frames, and cancels that of a replaced one. Returns when to
+    /// ask again.
     fn refine(&mut self) -> Option<Instant> {
         let now = self.now_micros();
         let mut talk = self.session.talk();
@@ -267,7 +267,7 @@ impl Viewer {
     }
 }
 
-/// Returns when the shade is there or has failed, with the version that it is of; never if nobody works it out.
+/// Returns when the shade is there or has failed, with its look version; never if none is being computed.
 async fn refined(refining: &mut Option<(LookVersion, JoinHandle<bool>)>) -> (LookVersion, bool) {
     let Some((version, running)) = refining else { return std::future::pending().await };
     let ended = (*version, running.await.unwrap_or(false));

@@ -1,8 +1,9 @@
-//! Makes the pictures that were shown, and compares them with the truth.
+//! Makes the pictures that were displayed, and compares them with the truth.
 
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::LayeredFrame;
+use isinglass_formats::png::Rgb8;
 use isinglass_render::Backend;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,33 +11,32 @@ use std::time::{Duration, Instant};
 use super::DemoOptions;
 use super::play::Played;
 use crate::error::BenchError;
-use crate::output::Rgb8;
 use crate::progress::Progress;
 
-/// What the compared pictures showed.
+/// Results of the comparison.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Evaluation {
-    /// In the order of time.
+    /// The pictures in order of time.
     pub(crate) pictures: Vec<Evaluated>,
-    /// How long pictures of one frame took, once it was ready for views.
+    /// Times of pictures from one prepared frame, ms.
     pub(crate) view_ms: Vec<f64>,
     /// Pictures to look at.
     pub(crate) samples: Vec<Sample>,
 }
 
-/// One picture that was shown, compared.
+/// The errors of one displayed picture.
 #[derive(Clone, Debug)]
 pub(crate) struct Evaluated {
     pub(crate) at: Duration,
     pub(crate) azimuth_degrees: f32,
-    /// Shown against the truth.
+    /// Displayed picture against the truth.
     pub(crate) shown: ImageError,
-    /// The newest server image unchanged against the truth.
+    /// The newest server image, unchanged, against the truth.
     pub(crate) last_image: ImageError,
     pub(crate) frame_age: Option<Duration>,
 }
 
-/// Shown, truth and last server image at one time.
+/// Displayed picture, truth and last server image at one time.
 #[derive(Clone, Debug)]
 pub(crate) struct Sample {
     pub(crate) at: Duration,
@@ -44,7 +44,7 @@ pub(crate) struct Sample {
     pub(crate) pictures: [Rgb8; 3],
 }
 
-/// Casts each kept frame from its recorded camera and renders the truth beside it.
+/// Casts each kept frame from its recorded camera and renders the truth.
 pub(crate) fn evaluate(
     backend: &Backend,
     scene: Scene,
@@ -63,7 +63,7 @@ pub(crate) fn evaluate(
         let frame = &frame.frame;
         let rgb = |picture| Rgb8::of(&picture, [0; 3]);
         let shown = rgb(match options.rival.as_ref().and_then(|rival| rival.show.as_ref()) {
-            // Only the ray cast can go from one frame into another.
+            // Only the ray cast can combine frames.
             None if !tick.older.is_empty() => {
                 let frames: Vec<&LayeredFrame> =
                     std::iter::once(frame).chain(tick.older.iter().map(|f| &f.frame)).collect();
@@ -103,7 +103,7 @@ pub(crate) fn evaluate(
             last_image: errors(&last, &truth)?,
             frame_age: tick.frame_age,
         });
-        // From the middle of each stretch: the first picture is the settled one.
+        // The sample comes from the middle of each interval, as the first picture is the settled one.
         if number % sample_stride == sample_stride / 2 && played.script.is_counted(tick.at) {
             let pictures = [shown, truth, last];
             evaluation.samples.push(Sample { at: tick.at, azimuth_degrees: tick.azimuth_degrees, pictures });
@@ -114,5 +114,5 @@ pub(crate) fn evaluate(
     Ok(evaluation)
 }
 
-/// Enough to see movement, stop and reversal.
+/// Enough to show movement, stop and reversal.
 const NUM_SAMPLES: usize = 8;

@@ -1,8 +1,8 @@
-//! The demonstration without a window: a real server, a real client and a slowed-down link in one process, a scripted
-//! camera, and afterwards the comparison of everything that was shown with the truth.
+//! The demonstration without a window: a real server, a real client and a slowed-down link in one process, with a
+//! scripted camera.
 //!
-//! Playing runs in real time and only records cameras and frames; pictures are made and compared when it is over, so
-//! that measuring does not slow down what is measured.
+//! Playing runs in real time and only records cameras and frames. Pictures are made and compared with the truth
+//! afterwards, so that this does not slow down the measured system.
 
 mod evaluate;
 mod play;
@@ -37,14 +37,14 @@ use isinglass_formats::{OpenedScene, open_scene};
 
 pub use report::Report;
 
-/// Another way of frames and pictures, which a laboratory brings.
+/// A laboratory's way of making frames and pictures.
 #[derive(Clone)]
 pub struct Rival {
-    /// What reports call it.
+    /// Its name in reports.
     pub name: String,
-    /// How the server makes frames; none: as the product does.
+    /// How the server makes frames; `None` for the product's way.
     pub make: Option<FrameMaker>,
-    /// How frames become pictures; none: they are cast.
+    /// How frames become pictures; `None` casts them.
     pub show: Option<PictureMaker>,
 }
 
@@ -60,41 +60,41 @@ impl std::fmt::Debug for Rival {
 /// What to play.
 #[derive(Clone, Debug)]
 pub struct DemoOptions {
-    /// What [`isinglass_formats::open`] opens.
+    /// The volume, as [`isinglass_formats::open`] takes it.
     pub source: String,
     /// The shape of a raw file.
     pub raw: Option<RawShape>,
-    /// Which part of a file.
+    /// The part of the file.
     pub selection: Selection,
-    /// Distances between voxels, in place of those of the file.
+    /// Distances between voxels that replace those of the file.
     pub spacing: Option<Vec3>,
-    /// Memory that the volume may take, bytes.
+    /// Most memory for the volume, bytes.
     pub max_bytes: u64,
-    /// Preset or file; none: the one that suits the volume.
+    /// Preset or file; `None` for the one that suits the volume.
     pub transfer: Option<String>,
     /// Whether gradients shade.
     pub shaded: bool,
-    /// What of the volume is looked at.
+    /// The visible part of the volume.
     pub clip: Clip,
     /// Light, occlusion and shadows.
     pub lighting: Lighting,
-    /// What a pixel tells of its ray.
+    /// What a pixel shows of its ray.
     pub mode: Mode,
     /// The surfaces of [`Mode::Iso`].
     pub isos: Isos,
-    /// Segments a pixel, on average.
+    /// Mean number of segments per pixel.
     pub k: u8,
-    /// What is played in place of the product; none: the product.
+    /// A method in place of the product's.
     pub rival: Option<Rival>,
     /// Where the camera begins.
     pub orbit: Orbit,
-    /// A path to play in place of the orbit.
+    /// A path in place of the orbit.
     pub path: Option<CameraPath>,
-    /// What the viewer does against the delay.
+    /// The viewer's measures against latency.
     pub foresight: Foresight,
     /// Picture and frame size, field of view.
     pub intrinsics: Intrinsics,
-    /// Whether rays are parallel. The picture then shows as much of the volume's middle as it would with the field of view.
+    /// Whether rays are parallel. The picture then shows as much of the volume's middle as with the field of view.
     pub is_orthographic: bool,
     /// Where kernels run.
     pub backend: BackendChoice,
@@ -102,11 +102,11 @@ pub struct DemoOptions {
     pub link: LinkModel,
     /// How frames are coded.
     pub plan: CodingPlan,
-    /// Speed of the camera while it moves.
+    /// Speed of the moving camera.
     pub degrees_per_second: f32,
-    /// Pictures shown in a second.
+    /// Displayed pictures per second.
     pub refresh_hz: f32,
-    /// At most about this many of the pictures shown are compared with the truth, evenly spaced.
+    /// About this many displayed pictures, evenly spaced, are compared with the truth.
     pub max_evaluated: usize,
 }
 
@@ -141,7 +141,7 @@ impl Default for DemoOptions {
     }
 }
 
-/// What came of it.
+/// The results.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// The figures.
@@ -150,19 +150,19 @@ pub struct Outcome {
     pub text: String,
 }
 
-/// Plays, compares, and writes `report.json`, some pictures, a plot and a table of the compared pictures to `out`,
-/// which is made if it is not there; without `out` nothing is written.
+/// Plays, compares, and writes `report.json`, some pictures, a plot and a table to `out`, which is created if
+/// necessary. Without `out` nothing is written.
 pub fn run_headless(options: &DemoOptions, out: Option<&Path>) -> Result<Outcome, BenchError> {
     let (opened, options) = options.open()?;
     let options = &options;
     let backend = Backend::open(options.backend)?;
     let Some(out) = out else { return run_opened(options, opened, &backend, None) };
-    // Before playing: nobody wants to wait for a report that cannot be written.
+    // An unwritable report must fail before playing.
     let is_new = !out.exists();
     std::fs::create_dir_all(out).map_err(BenchError::io(out))?;
     run_opened(options, opened, &backend, Some(out)).inspect_err(|_| {
         if is_new {
-            // Goes only if it is empty; the first error is the one to tell.
+            // This removes only an empty folder; the first error is the one to report.
             let _ = std::fs::remove_dir(out);
         }
     })
@@ -202,12 +202,12 @@ fn serve_and_play(
 pub struct Host {
     runtime: tokio::runtime::Runtime,
     pub(crate) server: RunningServer,
-    /// For one viewer.
+    /// The link for the viewer.
     pub link: Link,
 }
 
 impl Host {
-    /// Serves what was opened on the loopback interface.
+    /// Serves the opened scene on the loopback interface.
     pub fn start(
         options: &DemoOptions,
         opened: &OpenedScene,
@@ -237,14 +237,14 @@ impl Host {
         Ok(Self { runtime, server, link })
     }
 
-    /// Tells the viewer, and waits.
+    /// Tells the viewer and waits.
     pub fn close(self) {
         self.runtime.block_on(self.server.close());
     }
 }
 
 impl DemoOptions {
-    /// The look that the server begins with.
+    /// The server's first look.
     pub fn look(&self, opened: &OpenedScene) -> Look {
         Look {
             shaded: self.shaded,
@@ -257,7 +257,7 @@ impl DemoOptions {
         }
     }
 
-    /// The volume made ready, and these options with the orbit as the volume wants it.
+    /// The prepared volume, and these options with the orbit made upright.
     pub fn open(&self) -> Result<(OpenedScene, Self), BenchError> {
         let &Self { raw, selection, spacing, max_bytes, clip, mode, isos, .. } = self;
         let open = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
@@ -268,5 +268,5 @@ impl DemoOptions {
     }
 }
 
-/// The volume if none is named: translucent and detailed, small enough for the CPU.
+/// The default volume: translucent and detailed, small enough for the CPU.
 pub const DEFAULT_SOURCE: &str = "builtin:shells";

@@ -1,4 +1,4 @@
-//! Plays the camera path in real time and records what was shown.
+//! Plays the camera path in real time and records what is displayed.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -16,37 +16,37 @@ use crate::progress::Progress;
 /// One refresh of the display.
 #[derive(Clone, Debug)]
 pub(crate) struct Tick {
-    /// Since the camera began to move.
+    /// Time since the camera began to move.
     pub(crate) at: Duration,
-    /// Where the script had the camera.
+    /// Azimuth according to the script.
     pub(crate) azimuth_degrees: f32,
     /// The input of this refresh.
     pub(crate) input: Pose,
-    /// The camera of the picture shown.
+    /// The camera of the displayed picture.
     pub(crate) camera: Camera,
-    /// The frame it was cast from.
+    /// The frame that it was cast from.
     pub(crate) frame: FrameId,
-    /// The frame itself, at the refreshes that are compared.
+    /// The frame itself, for refreshes that are compared.
     pub(crate) kept: Option<Arc<ReceivedFrame>>,
-    /// Older frames beside it, of which the picture was made.
+    /// Older frames that were combined with it.
     pub(crate) older: Vec<Arc<ReceivedFrame>>,
-    /// How picture and server stood.
+    /// State of the picture and the server.
     pub(crate) standing: Standing,
-    /// Time since the pose that the frame answers was set.
+    /// Time since the frame's pose was set.
     pub(crate) frame_age: Option<Duration>,
     /// Angle between the frame's pose and the camera of the picture.
     pub(crate) turned_degrees: Option<f32>,
-    /// Bytes of the frame that had arrived.
+    /// Received bytes of the frame.
     pub(crate) frame_bytes: u64,
 }
 
-/// All refreshes from the moment the camera began to move, with at least one frame on the screen.
+/// All refreshes since the camera began to move, with at least one frame on the screen.
 #[derive(Clone, Debug)]
 pub(crate) struct Played {
     pub(crate) ticks: Vec<Tick>,
     /// The camera path.
     pub(crate) script: Script,
-    /// Measured by the transport at the end.
+    /// The transport's measurement at the end.
     pub(crate) round_trip: Duration,
 }
 
@@ -88,7 +88,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
         std::thread::sleep(interval);
     }
     viewer.take_records();
-    // At a stop a frame for an older pose may be in the making; the rest's own comes after it.
+    // At a stop, the frame for the rest may have to wait for one of an older pose.
     let settle = asked.elapsed().min(MAX_SETTLE).mul_f32(1.5);
     let script = Script::new(motion, settle);
 
@@ -108,7 +108,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
         let input = script.pose_at(at, &options.intrinsics, &bounds);
         let azimuth_degrees = script.azimuth_degrees(at, &input, &bounds);
         viewer.tick(now(), input);
-        // Frames are kept for the refreshes that are compared only: a long path at a large size would not fit.
+        // Only refreshes that are compared keep their frames: a long path at a large size would not fit.
         let is_chosen = is_counted(number) && num_counted % stride == 0;
         num_counted += usize::from(is_counted(number));
         for record in viewer.take_records() {
@@ -125,7 +125,7 @@ pub(crate) fn play(link: &Link, options: &DemoOptions) -> Result<Played, BenchEr
     Ok(Played { ticks, script, round_trip })
 }
 
-/// Whether this is the last refresh, or the one before, of a rest.
+/// Whether this is one of the last two refreshes of a rest.
 fn ends_rest(script: &Script, at: Duration, interval: Duration) -> bool {
     script.rests().iter().any(|rest| rest.contains(&at) && at + interval * 2 >= rest.end)
 }
@@ -147,7 +147,7 @@ fn tick(record: DisplayRecord, at: Duration, azimuth_degrees: f32, input: Pose, 
     })
 }
 
-/// A first frame of a large volume on a slow machine, shader compilation included.
+/// The first frame of a large volume on a slow machine, including shader compilation.
 const FIRST_FRAME_TIMEOUT: Duration = Duration::from_secs(60);
-/// Nobody waits longer for a picture to settle.
+/// Longest time for a picture to settle.
 const MAX_SETTLE: Duration = Duration::from_secs(5);

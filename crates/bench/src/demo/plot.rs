@@ -8,7 +8,7 @@ use super::evaluate::Evaluation;
 use super::script::Script;
 use crate::error::BenchError;
 
-/// An SVG with the errors of what was shown and of the last server image; the rests are grey.
+/// An SVG with the errors of the displayed pictures and of the last server image; rests are grey.
 pub(crate) fn svg(script: &Script, evaluation: &Evaluation) -> Result<String, BenchError> {
     let mut text = String::new();
     draw(&mut text, script, evaluation)

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use isinglass_client::Standing;
 use isinglass_core::camera::{Camera, Pose};
-use isinglass_formats::Selection;
+use isinglass_formats::png::Rgb8;
+use isinglass_formats::{Selection, write_whole};
 use isinglass_render::Backend;
 use serde::Serialize;
 
@@ -14,21 +15,20 @@ use super::play::{Played, Tick};
 use super::script::Script;
 use super::{DemoOptions, plot};
 use crate::error::BenchError;
-use crate::output::{Rgb8, write_whole};
 
-/// The figures: the object in `report.json`. Means of DSSIM are over the pictures compared while the camera moved and
-/// for 1.5 s after each stop; the first frame was on the screen before it began to move.
+/// The figures in `report.json`. Means of DSSIM are over the pictures compared while the camera moved and for 1.5 s
+/// after each stop. The first frame was on the screen before the camera moved.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// The volume.
     pub source: String,
-    /// What was taken of its file.
+    /// The part of its file.
     pub part: Selection,
     /// Columns and rows of the pictures.
     pub size: [u32; 2],
-    /// What made the pictures: `layers`, or a rival.
+    /// Method of the pictures: `layers`, or a rival.
     pub method: String,
-    /// Mean length of lists that was asked for.
+    /// Requested mean length of lists.
     pub k: u8,
     /// How frames were coded.
     pub codec: &'static str,
@@ -36,48 +36,48 @@ pub struct Report {
     pub quality: u8,
     /// Speed of the camera.
     pub degrees_per_second: f32,
-    /// Whether a recorded path was played in place of the orbit, whose speed then counts for nothing.
+    /// Whether a recorded path replaced the orbit, whose speed then does not matter.
     pub plays_path: bool,
-    /// Seed of the link's draws.
+    /// Seed of the link's random numbers.
     pub seed: u64,
-    /// Delay of the link, there and back.
+    /// Round-trip delay of the link.
     pub rtt_ms: f64,
     /// Greatest additional delay, each way.
     pub jitter_ms: f64,
-    /// Share of packets lost, each way.
+    /// Fraction of packets lost, each way.
     pub loss: f64,
-    /// Rate of the link each way; none: unlimited.
+    /// Rate of the link each way; `None` for unlimited.
     pub bandwidth_mbit: Option<f64>,
     /// Where kernels ran.
     pub backend: String,
-    /// Pictures shown, one for each refresh.
+    /// Displayed pictures, one per refresh.
     pub frames_shown: usize,
-    /// Mean DSSIM of the pictures shown.
+    /// Mean DSSIM of the displayed pictures.
     pub dssim_shown_mean: f64,
     /// 95th percentile of the same.
     pub dssim_shown_p95: f64,
-    /// Mean DSSIM of the newest server image at the same moments, shown unchanged.
+    /// Mean DSSIM of the newest server image at the same moments, displayed unchanged.
     pub dssim_last_image_mean: f64,
-    /// Refreshes from an input to the first picture with that camera, at most: those that the picture was chosen late by, and
-    /// those that pass while a picture is made, by the median time of one.
+    /// Most refreshes from an input to the first picture with that camera. It counts late choices of the camera, and
+    /// refreshes that pass while a picture is made, by its median time.
     pub pose_lag_frames_max: usize,
-    /// Median time of a picture of one frame, once that was ready for views; without anything beside it, after the playing.
+    /// Median time for a picture of one prepared frame, measured after playing.
     pub novel_view_ms: f64,
-    /// Mean time since the pose that the frame on screen answers was set, while the camera moved.
+    /// Mean time since the displayed frame's pose was set, while the camera moved.
     pub frame_age_ms_mean: f64,
-    /// Mean angle between the poses of the frame on screen and of the picture, while the camera moved.
+    /// Mean angle between the displayed frame's pose and that of the picture, while the camera moved.
     pub frame_turned_deg_mean: f64,
-    /// Whether frames were asked for from where the camera would be.
+    /// Whether frames were requested for the predicted pose.
     pub predict: bool,
     /// Whether frames had a margin.
     pub guard_band: bool,
-    /// Whether older frames showed what the newest did not see.
+    /// Whether older frames filled what the newest lacked.
     pub kept_frames: bool,
-    /// Mean size of the server frames shown, as far as they had arrived when the next one took their place.
+    /// Mean size of the displayed server frames, as far as they had arrived when the next one replaced them.
     pub bytes_per_frame_mean: f64,
-    /// Gaps between new server frames on the screen while the camera moved that were longer than three mean gaps and
-    /// longer than a mean gap and 150 ms (the freeze of the WebRTC statistics). The time from the start of a movement, but
-    /// for a round trip, and that to its end count as gaps, too.
+    /// Number of freezes as in the WebRTC statistics: gaps between new server frames while the camera moved, longer
+    /// than three mean gaps and than a mean gap and 150 ms. The time from a movement's start, minus a round trip, and
+    /// that to its end count as gaps.
     pub freezes: usize,
     /// Greatest difference between the picture at the end of a rest and a full rendering by the server's renderer.
     pub rest_max_abs_255: u8,
@@ -139,7 +139,7 @@ impl Report {
     }
 }
 
-/// Writes everything, each file whole or not at all; the report comes last, so that where it stands all is there.
+/// Writes all files, each whole or not at all. The report comes last, so that its existence proves the others.
 pub(super) fn write(
     out: &Path,
     report: &Report,
@@ -151,7 +151,7 @@ pub(super) fn write(
         let name = format!("t{:04.1}s-az{:+06.1}.png", sample.at.as_secs_f32(), sample.azimuth_degrees);
         let [shown, truth, last] = &sample.pictures;
         files.push(out.join(name));
-        Rgb8::beside(&[shown, truth, last]).write(&files[files.len() - 1])?;
+        beside(&[shown, truth, last]).write(&files[files.len() - 1])?;
     }
     let text_file = |name: &str, text: String| {
         let path = out.join(name);
@@ -163,6 +163,24 @@ pub(super) fn write(
         .map_err(|e| BenchError::Demo(format!("the report cannot be written: {e}")))?;
     files.push(text_file("report.json", json + "\n")?);
     Ok(files)
+}
+
+/// Pictures of the same height, from left to right with a thin grey line between them.
+fn beside(pictures: &[&Rgb8]) -> Rgb8 {
+    let height = pictures.iter().map(|p| p.height).min().unwrap_or(0);
+    let gap = if pictures.is_empty() { 0 } else { pictures.len() as u32 - 1 };
+    let width = pictures.iter().map(|p| p.width).sum::<u32>() + gap * GAP_PIXELS;
+    let mut bytes = Vec::with_capacity(width as usize * height as usize * 3);
+    for y in 0..height as usize {
+        for (i, p) in pictures.iter().enumerate() {
+            if i > 0 {
+                bytes.extend([GAP_GREY; 3 * GAP_PIXELS as usize]);
+            }
+            let row = p.width as usize * 3;
+            bytes.extend_from_slice(&p.bytes[y * row..(y + 1) * row]);
+        }
+    }
+    Rgb8 { width, height, bytes }
 }
 
 /// A few lines for people.
@@ -270,9 +288,9 @@ fn csv(evaluation: &Evaluation) -> String {
     text
 }
 
-/// For each refresh, how many refreshes ago the shown camera was the input; the most of all.
+/// Most refreshes, over all refreshes, since the displayed camera was the input.
 fn pose_lag(ticks: &[Tick]) -> usize {
-    // The eye of a parallel camera is moved to where all of the volume is in front.
+    // The eye of a parallel camera is moved in front of the volume.
     let is_shown = |input: &Pose, camera: &Camera| match camera.intrinsics.projection.is_orthographic() {
         true => input.world_from_view == camera.pose.world_from_view,
         false => *input == camera.pose,
@@ -289,10 +307,10 @@ fn bytes_per_frame(ticks: &[Tick]) -> f64 {
 }
 
 fn freezes(script: &Script, ticks: &[Tick], round_trip: Duration) -> usize {
-    // Between two new frames, and those that are still open when the movement ends. Before the first one a round trip goes by
-    // in any case.
+    // Gaps between new frames, and those still open when the movement ends. A round trip always passes before the
+    // first.
     let (mut closed, mut open) = (Vec::new(), Vec::new());
-    // Since when, and whether that is a frame.
+    // Start of the gap, and whether that is a frame.
     let mut since: Option<(Duration, bool)> = None;
     for pair in ticks.windows(2) {
         let [before, now] = pair else { continue };
@@ -334,6 +352,9 @@ fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
     let at = ((values.len() as f64 * share).ceil() as usize).clamp(1, values.len().max(1)) - 1;
     values.get(at).copied().unwrap_or(0.0)
 }
+
+const GAP_PIXELS: u32 = 4;
+const GAP_GREY: u8 = 96;
 
 #[cfg(test)]
 mod tests {

@@ -1,4 +1,4 @@
-//! The camera path: forward, a stop, back, a stop; or one that somebody has recorded, and a stop.
+//! The camera path: forward, a stop, back, a stop; or a recorded path and a stop.
 
 use std::ops::Range;
 use std::time::Duration;
@@ -9,17 +9,17 @@ use isinglass_core::space::Aabb;
 
 use isinglass_core::orbit::Orbit;
 
-/// What the camera does, without the rests that are added for measuring.
+/// The camera's motion, without the rests that are added for measuring.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Motion {
-    /// An orbit at constant speed, there and back.
+    /// An orbit at constant speed, forward and back.
     Orbit {
         /// Where it begins.
         start: Orbit,
         /// Its speed.
         degrees_per_second: f32,
     },
-    /// A path as it is.
+    /// A recorded path, unchanged.
     Recorded(CameraPath),
 }
 
@@ -40,13 +40,13 @@ pub(crate) struct Script {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Phase {
     seconds: f32,
-    /// Of the orbit: −1, 0 or 1. A recorded path moves in a phase that is not 0.
+    /// Direction of the orbit: −1, 0 or 1. A recorded path moves while it is not 0.
     direction: f32,
 }
 
 impl Script {
-    /// After each stop the camera rests for 1.5 s, and then for `settle`, which no mean counts: so that the picture
-    /// can settle on a slow machine without flattering it. A recorded path has one such stop, at its end.
+    /// After each stop the camera rests for 1.5 s, and then for `settle`, which no mean counts. So the picture can
+    /// settle on a slow machine without flattering it. A recorded path has one such stop, at its end.
     pub(crate) fn new(motion: Motion, settle: Duration) -> Self {
         let phase = |seconds, direction| Phase { seconds, direction };
         let rest = phase(REST_SECONDS + settle.as_secs_f32(), 0.0);
@@ -57,20 +57,20 @@ impl Script {
         Self { motion, phases }
     }
 
-    /// Where the camera is at a time.
+    /// The camera's pose at a time.
     pub(crate) fn pose_at(&self, at: Duration, intrinsics: &Intrinsics, bounds: &Aabb) -> Pose {
         match &self.motion {
             Motion::Orbit { start, degrees_per_second } => {
                 start.turned(self.turn(at) * degrees_per_second).pose(intrinsics, bounds)
             }
-            // A path has a place for every time.
+            // A path has a position for every time.
             Motion::Recorded(path) => path
                 .pose_at(at, intrinsics, bounds)
                 .unwrap_or_else(|| Orbit::default().pose(intrinsics, bounds)),
         }
     }
 
-    /// The azimuth at a time, for people; a pan moves it, too.
+    /// The azimuth at a time, for people; a pan changes it too.
     pub(crate) fn azimuth_degrees(&self, at: Duration, pose: &Pose, bounds: &Aabb) -> f32 {
         match &self.motion {
             Motion::Orbit { start, degrees_per_second } => {
@@ -83,7 +83,7 @@ impl Script {
         }
     }
 
-    /// Seconds of movement forward less those backward.
+    /// Seconds of forward movement minus those of backward movement.
     fn turn(&self, at: Duration) -> f32 {
         let mut left = at.as_secs_f32();
         let mut turn = 0.0;
@@ -94,12 +94,12 @@ impl Script {
         turn
     }
 
-    /// Length of the whole.
+    /// Total duration.
     pub(crate) fn duration(&self) -> Duration {
         Duration::from_secs_f32(self.phases.iter().map(|p| p.seconds).sum())
     }
 
-    /// When the camera stands still.
+    /// Times of rest.
     pub(crate) fn rests(&self) -> Vec<Range<Duration>> {
         let mut rests = Vec::new();
         let mut at = 0.0;
@@ -113,7 +113,7 @@ impl Script {
         rests
     }
 
-    /// Whether a picture shown at a time counts in means: while the camera moves and for [`REST_SECONDS`] after each
+    /// Whether a picture displayed at a time counts in means: during movement and for [`REST_SECONDS`] after each
     /// stop.
     pub(crate) fn is_counted(&self, at: Duration) -> bool {
         let counted_rest = Duration::from_secs_f32(REST_SECONDS);

@@ -1,4 +1,4 @@
-//! What the device needs by its own clock, for what the pipeline does with it.
+//! The pipeline's work by the device's own clock.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,13 +17,13 @@ use isinglass_formats::OpenedScene;
 pub struct DeviceTimes {
     /// A layered frame.
     pub generate_ms: f64,
-    /// The rendering that does not stop at opaque matter, for comparison.
+    /// A rendering that does not stop at opaque matter, for comparison.
     pub render_through_ms: f64,
-    /// A novel view, seen from some degrees aside.
+    /// A novel view, turned by some degrees.
     pub novel_view_ms: f64,
 }
 
-/// None where there is no device, or it has no clock.
+/// `None` without a device or its clock.
 pub(super) fn measure(
     demo: &DemoOptions,
     opened: OpenedScene,
@@ -56,6 +56,6 @@ pub(super) fn measure(
     }))
 }
 
-/// Frames, and degrees between them.
+/// Number of frames, and degrees between them.
 const TURNS: usize = 9;
 const STEP_DEGREES: f32 = 5.0;

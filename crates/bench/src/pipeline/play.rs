@@ -17,19 +17,19 @@ use crate::error::BenchError;
 use crate::progress::Progress;
 use isinglass_formats::OpenedScene;
 
-/// What happened while it counted.
-pub(super) struct Played {
-    /// Of the frames that were begun then, as far as both sides know; in order.
+/// What happened during the measurement.
+pub(super) struct Recording {
+    /// Lives of the frames that began then, joined from both sides, in order.
     pub(super) lives: Vec<Life>,
-    /// At each refresh, the time since the pose of the frame on the screen was set, µs.
+    /// At each refresh, the time since the displayed frame's pose was set, µs.
     pub(super) ages_micros: Vec<u64>,
-    /// Refreshes at which another frame was on the screen than before.
+    /// Number of refreshes that showed a new frame.
     pub(super) num_new: usize,
-    /// How long it counted.
+    /// Duration of the measurement.
     pub(super) measured: Duration,
-    /// Measured by the transport at the end.
+    /// The transport's measurement at the end.
     pub(super) round_trip: Duration,
-    /// From the start of the program's work to the first whole picture.
+    /// Time from the start of work to the first whole picture.
     pub(super) first_picture: Duration,
 }
 
@@ -38,7 +38,7 @@ pub(super) fn play(
     opened: &OpenedScene,
     backend: &Backend,
     started: Instant,
-) -> Result<Played, BenchError> {
+) -> Result<Recording, BenchError> {
     let demo = &options.demo;
     let clock = Clock::start();
     let timing = Timing { clock: clock.clone(), ..Timing::default() };
@@ -97,7 +97,7 @@ pub(super) fn play(
                 ages_micros.extend(frame.times.at(Stage::Asked).map(|asked| at.saturating_sub(asked)));
             }
         }
-        // Ledgers hold four seconds' worth.
+        // Ledgers hold only four seconds' worth.
         if number % (demo.refresh_hz as u32).max(1) == 0 {
             collect(&mut lives, viewer.source(), &journal, &counts);
         }
@@ -109,7 +109,7 @@ pub(super) fn play(
     let round_trip = Duration::from_micros(viewer.source().stats().rtt_micros);
     drop(viewer);
     host.close();
-    Ok(Played {
+    Ok(Recording {
         lives: lives.into_values().collect(),
         ages_micros,
         num_new,
@@ -119,7 +119,8 @@ pub(super) fn play(
     })
 }
 
-/// Joins what both sides know of the frames that were begun while it counts. A frame that is sent again, finer, is generated once.
+/// Joins both sides' lives of the frames that began during the measurement. A frame that is sent again is generated
+/// once.
 fn collect(lives: &mut BTreeMap<FrameId, Life>, client: &Client, journal: &Journal, counts: &Range<u64>) {
     let of_client: BTreeMap<FrameId, Life> =
         client.ledger().into_iter().map(|life| (life.frame, life)).collect();
@@ -131,5 +132,5 @@ fn collect(lives: &mut BTreeMap<FrameId, Life>, client: &Client, journal: &Journ
     }
 }
 
-/// A first frame of a large volume on a slow machine, shader compilation included.
+/// The first frame of a large volume on a slow machine, including shader compilation.
 const FIRST_FRAME_TIMEOUT: Duration = Duration::from_secs(60);

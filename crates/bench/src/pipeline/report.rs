@@ -6,65 +6,65 @@ use serde::Serialize;
 
 use super::PipelineOptions;
 use super::device::DeviceTimes;
-use super::play::Played;
+use super::play::Recording;
 
-/// What came of it.
+/// The results.
 #[derive(Clone, Debug, Serialize)]
 pub struct PipelineReport {
     /// The volume.
     pub source: String,
     /// Columns and rows of the picture.
     pub size: [u32; 2],
-    /// Its k.
+    /// Mean length of lists.
     pub k: u8,
     /// Coding of frames.
     pub codec: &'static str,
     /// Where kernels ran.
     pub backend: String,
-    /// Threads for work.
+    /// Number of worker threads.
     pub threads: usize,
     /// The link's own round trip, ms.
     pub rtt_ms: f64,
     /// Its jitter, ms.
     pub jitter_ms: f64,
-    /// Its rate, Mbit/s; none: no limit.
+    /// Its rate, Mbit/s; `None` for no limit.
     pub bandwidth_mbit: Option<f64>,
-    /// The round trip as the transport has measured it, ms.
+    /// The round trip measured by the transport, ms.
     pub measured_rtt_ms: f64,
     /// Refreshes of the display a second.
     pub refresh_hz: f32,
     /// Speed of the camera.
     pub degrees_per_second: f32,
-    /// How long it counted.
+    /// Duration of the measurement.
     pub seconds: f64,
-    /// Until the first whole picture: opening, bricks, tables, device, first frame.
+    /// Time to the first whole picture: opening, bricks, tables, device, first frame.
     pub first_picture_seconds: f64,
-    /// Frames that were shown for the first time, a second.
+    /// New frames on the screen per second.
     pub new_frames_per_second: f64,
-    /// Frames that were begun.
+    /// Number of frames that began.
     pub frames_begun: usize,
-    /// Those of them that were shown.
+    /// Number of those that were shown.
     pub frames_shown: usize,
-    /// Frames that were older than one that was shown, and were not: by the furthest stage that they reached.
+    /// Frames that were skipped for a newer one, by the last stage that they reached.
     pub given_up: Vec<GivenUp>,
-    /// Time since the pose of the frame on the screen was set, at each refresh.
+    /// Time since the displayed frame's pose was set, at each refresh.
     pub age_ms: Spread,
     /// Bytes of a frame.
     pub bytes: Spread,
-    /// Bytes a second.
+    /// Bytes per second.
     pub bytes_per_second: f64,
-    /// Of the frames that were shown.
+    /// Stages of the frames that were shown.
     pub stages: Vec<StageRow>,
-    /// What the device needs by its own clock; none where it has none.
+    /// Times by the device's own clock; `None` where it has none.
     pub device: Option<DeviceTimes>,
 }
 
-/// Frames that got no further.
+/// Frames that stopped early.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct GivenUp {
-    /// Than this stage.
+    /// The last stage that they reached.
     pub after: &'static str,
-    /// How many.
+    /// Their number.
     pub frames: usize,
 }
 
@@ -73,9 +73,9 @@ pub struct GivenUp {
 pub struct StageRow {
     /// Its name.
     pub stage: &'static str,
-    /// Frames that have a stamp of it.
+    /// Number of frames with its stamp.
     pub frames: usize,
-    /// Time since the stage before, ms.
+    /// Time since the previous stage, ms.
     pub step_ms: Spread,
     /// Time since the pose was set, ms.
     pub since_asked_ms: Spread,
@@ -93,7 +93,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of some values; zeros if there are none.
+    /// The spread of some values; zeros without any.
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_unstable_by(f64::total_cmp);
         let at = |share: f64| {
@@ -108,7 +108,7 @@ impl Spread {
 pub(super) fn report(
     options: &PipelineOptions,
     backend: &Backend,
-    played: &Played,
+    played: &Recording,
     device: Option<DeviceTimes>,
 ) -> PipelineReport {
     let demo = &options.demo;
@@ -142,7 +142,7 @@ pub(super) fn report(
     }
 }
 
-/// Frames on their way at the end are not given up: none newer was shown.
+/// Frames in flight at the end are not given up: none newer was shown.
 fn given_up(lives: &[Life]) -> Vec<GivenUp> {
     let newest = lives.iter().filter(|life| life.at(Stage::Shown).is_some()).map(|life| life.frame).max();
     let is_lost = |life: &&Life| life.is_given_up || newest.is_some_and(|newest| life.frame < newest);

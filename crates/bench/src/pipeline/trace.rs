@@ -1,11 +1,11 @@
-//! The lives of frames as Chrome trace events: what chrome://tracing and Perfetto show, a row for each station.
+//! The lives of frames as Chrome trace events for chrome://tracing and Perfetto, a row per station.
 
 use isinglass_core::session::ledger::{Life, Stage};
 use serde_json::{Value, json};
 
 use crate::error::BenchError;
 
-/// What is shown of a life: a name, process and row, from one stage to another.
+/// Spans of a life: name, process, row, and the first and last stage.
 const SPANS: [(&str, u32, u32, Stage, Stage); 9] = [
     ("asked", CLIENT, 1, Stage::Asked, Stage::Begun),
     ("generate", SERVER, 1, Stage::Begun, Stage::Generated),

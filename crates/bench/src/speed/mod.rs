@@ -1,9 +1,9 @@
-//! How long each stage of a frame's life takes, side by side: full renderings, frames of each K, coding, and novel views
-//! at each turn, with the empty-space grid and without.
+//! Measures each stage of a frame's life side by side: full renderings, frames of each K, coding, and novel views at
+//! each turn, with and without the empty-space grid.
 //!
-//! Everything about one scene on one backend is a list of tasks, which are run in turns: a round is one run of each, so
-//! that a machine that is busy now and then is busy for all of them alike. The first round does not count; of the
-//! others the least time does, as whatever disturbs only adds to it.
+//! All work on one scene and backend is a list of tasks that take turns. A round runs each once, so that a busy
+//! machine affects all alike. The first round does not count. Of the others the least time does, because disturbances
+//! only add to it.
 
 mod tasks;
 
@@ -17,28 +17,28 @@ use crate::subject::{Failures, Subject, SubjectConditions, each_scene};
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct SpeedOptions {
-    /// What is looked at; the novel views are turned by its angles.
+    /// The subject; its angles turn the novel views.
     pub subject: Subject,
     /// Backends to compare.
     pub backends: Vec<BackendChoice>,
     /// Frame sizes: columns and rows of lists.
     pub frame_sizes: Vec<[u32; 2]>,
-    /// Rounds of which the least time counts, after one that does not.
+    /// Number of rounds of which the least time counts, after one that does not.
     pub repeats: u32,
 }
 
 /// The whole result.
 #[derive(Clone, Debug, Serialize)]
 pub struct SpeedReport {
-    /// What holds for all rows.
+    /// The conditions of all rows.
     pub conditions: SpeedConditions,
-    /// One for each scene, backend, frame size, K and turn.
+    /// One row for each scene, backend, frame size, K and turn.
     pub rows: Vec<SpeedRow>,
-    /// How long each volume took to be ready.
+    /// Times to prepare each volume.
     pub preparations: Vec<Preparation>,
 }
 
-/// How long a volume took to be ready on a backend, seconds.
+/// Times to prepare a volume on a backend, seconds.
 #[derive(Clone, Debug, Serialize)]
 pub struct Preparation {
     /// Name of the scene.
@@ -47,32 +47,32 @@ pub struct Preparation {
     pub dims: [u32; 3],
     /// Where the kernels ran.
     pub backend: String,
-    /// Reading or making the voxels.
+    /// Time to read or make the voxels.
     pub volume_seconds: f64,
-    /// Their histogram.
+    /// Time for their histogram.
     pub histogram_seconds: f64,
-    /// Least and greatest voxels of bricks.
+    /// Time for the minima and maxima of bricks.
     pub bricks_seconds: f64,
-    /// Transfer function, visible bricks and light.
+    /// Time for transfer function, visible bricks and light.
     pub look_seconds: f64,
-    /// Onto the device, and its kernels; on the CPU next to nothing.
+    /// Time for the upload and the device's kernels; almost none on the CPU.
     pub upload_seconds: f64,
 }
 
-/// What holds for all rows.
+/// The conditions of all rows.
 #[derive(Clone, Debug, Serialize)]
 pub struct SpeedConditions {
-    /// What holds for any table of pictures.
+    /// The conditions of any table of pictures.
     #[serde(flatten)]
     pub subject: SubjectConditions,
-    /// Rounds that count.
+    /// Number of counted rounds.
     pub repeats: u32,
-    /// What of them is told.
+    /// The reported statistic.
     pub statistic: &'static str,
 }
 
-/// Milliseconds, with the way of results back to the CPU; those called `gpu`: of the passes alone by the device's own
-/// timestamps, none where it has no such clock. Ratios and rates are of the device's times where there are any.
+/// Milliseconds, with readback to the CPU. Fields called `gpu` measure only the passes by the device's timestamps,
+/// and are `None` without such a clock. Ratios and rates prefer the device's times.
 #[derive(Clone, Debug, Serialize)]
 pub struct SpeedRow {
     /// Name of the scene.
@@ -81,7 +81,7 @@ pub struct SpeedRow {
     pub dims: [u32; 3],
     /// Where the kernels ran.
     pub backend: String,
-    /// Mean length of lists that was asked for.
+    /// Requested mean length of lists.
     pub k: u8,
     /// Columns and rows of lists.
     pub frame_size: [u32; 2],
@@ -89,41 +89,41 @@ pub struct SpeedRow {
     pub angle_deg: f32,
     /// Full rendering from the turned camera.
     pub render_ms: f64,
-    /// The same on the device.
+    /// The same by the device's clock.
     pub render_gpu_ms: Option<f64>,
     /// Full rendering from the frame's camera that does not stop at opaque matter.
     pub render_through_ms: f64,
-    /// The same on the device.
+    /// The same by the device's clock.
     pub render_through_gpu_ms: Option<f64>,
     /// A layered frame.
     pub generate_ms: f64,
-    /// The same on the device.
+    /// The same by the device's clock.
     pub generate_gpu_ms: Option<f64>,
     /// Encoding it.
     pub encode_ms: f64,
     /// Decoding it.
     pub decode_ms: f64,
-    /// Making it ready for views, once.
+    /// Preparing it for views, once.
     pub prepare_ms: f64,
     /// Casting it.
     pub novel_view_ms: f64,
-    /// The same on the device.
+    /// The same by the device's clock.
     pub novel_view_gpu_ms: Option<f64>,
     /// Casting it without the empty-space grid.
     pub novel_view_no_grid_ms: f64,
-    /// The same on the device.
+    /// The same by the device's clock.
     pub novel_view_no_grid_gpu_ms: Option<f64>,
-    /// Novel views a second.
+    /// Novel views per second.
     pub fps: f64,
-    /// Full renderings a second.
+    /// Full renderings per second.
     pub render_fps: f64,
-    /// Novel view in units of the full rendering from the same camera.
+    /// Novel view relative to the full rendering from the same camera.
     pub view_over_render: f64,
-    /// Making the frame in units of the full rendering that does not stop.
+    /// Generation relative to the full rendering that does not stop.
     pub generate_over_through: f64,
-    /// What the grid saves, as a share of the view without it.
+    /// Fraction of the time without the grid that it saves.
     pub grid_gain: f64,
-    /// Share of the grid's cells that hold nothing.
+    /// Fraction of the grid's cells that are empty.
     pub empty_share: f32,
     /// SSIM of the novel view against the full rendering.
     pub ssim: f64,
@@ -135,7 +135,7 @@ pub struct SpeedRow {
     pub psnr_db: f64,
     /// Bytes of the encoded frame.
     pub bytes: usize,
-    /// Segments in a list, over lists that have any.
+    /// Mean segments per list, over lists that have any.
     pub segments_mean: f64,
     /// Segments of the frame.
     pub segments_total: usize,
@@ -149,7 +149,7 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
     for &choice in &options.backends {
         let backend = Backend::open(choice)?;
         failures.append(each_scene(&options.subject.scenes, |source| {
-            // A step for each round, one for the preparation and one for the pictures.
+            // One step per round, one for the preparation and one for the pictures.
             let mut progress = Progress::new("speed", u64::from(options.repeats) + 3);
             progress.begin(&format!("{} on {}", source.name, backend.description()));
             let (mut tasks, preparation) = tasks::Tasks::open(&backend, options, source)?;

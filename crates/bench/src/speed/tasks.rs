@@ -29,14 +29,14 @@ pub(super) struct Tasks<'a> {
     dims: [u32; 3],
     orbit: Orbit,
     renderer: Renderer,
-    /// Turned cameras, as many as angles.
+    /// Turned cameras, one per angle.
     turned: Vec<Camera>,
     frames: Vec<MadeFrame>,
     tasks: Vec<Task>,
     least: BTreeMap<Task, Time>,
 }
 
-/// A frame of one K and size, ready to be cast.
+/// A frame of one K and size, prepared for casting.
 struct MadeFrame {
     header: FrameHeader,
     encoded: codec::EncodedFrame,
@@ -44,12 +44,12 @@ struct MadeFrame {
     caster: Reprojector,
 }
 
-/// Indices into the lists of [`Tasks`].
+/// A task, with indices into the lists of [`Tasks`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Task {
     /// Full rendering from a turned camera.
     Render(usize),
-    /// Full rendering from a frame's camera that does not stop at opaque matter, at the frame's size.
+    /// Full rendering from a frame's camera in the frame's size that does not stop at opaque matter.
     Through([u32; 2]),
     Generate(usize),
     Encode(usize),
@@ -59,7 +59,7 @@ enum Task {
     View(usize, usize, bool),
 }
 
-/// Milliseconds: with the way to memory, and on the device by its own clock.
+/// Milliseconds with readback, and by the device's own clock.
 #[derive(Clone, Copy, Debug)]
 struct Time {
     wall: f64,
@@ -72,7 +72,7 @@ impl Time {
         Self { wall: self.wall.min(other.wall), gpu }
     }
 
-    /// The device's own, where it has one.
+    /// The device's time, where it exists.
     fn best(self) -> f64 {
         self.gpu.unwrap_or(self.wall)
     }
@@ -95,7 +95,7 @@ impl<'a> Tasks<'a> {
         let (volume, volume_seconds) = in_seconds(|| subject.open_volume(source))?;
         let (_, histogram_seconds) = in_seconds(|| Ok(Histogram::of(&volume)))?;
         let (_, bricks_seconds) = in_seconds(|| Ok(Bricks::of(&volume)))?;
-        // A scene makes a histogram for its transfer function and another of its own, and bricks.
+        // A scene makes two histograms, one for its transfer function, and bricks.
         let (opened, scene_seconds) = in_seconds(|| subject.open_scene(source, volume))?;
         let look_seconds = (scene_seconds - 2.0 * histogram_seconds - bricks_seconds).max(0.0);
         let orbit = subject.orbit(&opened.scene.volume);
@@ -156,8 +156,8 @@ impl<'a> Tasks<'a> {
     pub(super) fn run_round(&mut self, counts: bool) -> Result<(), BenchError> {
         for task in self.tasks.clone() {
             let mut time = self.run(task)?;
-            // Going from one K to the next makes new buffers on the GPU, which a server does not do for each frame. What
-            // frames are compared with has as many tries.
+            // Another K needs new buffers on the GPU, which a server does not make per frame. Competing tasks get as
+            // many tries.
             if counts
                 && matches!((task, self.backend), (Task::Generate(_) | Task::Through(_), Backend::Gpu(_)))
                 && time.wall < SHORT_MS
@@ -194,7 +194,7 @@ impl<'a> Tasks<'a> {
         }
     }
 
-    /// All rows, after the rounds.
+    /// All rows after the rounds.
     pub(super) fn rows(&mut self, source: &SceneSource, rows: &mut Vec<SpeedRow>) -> Result<(), BenchError> {
         let truths: Vec<Picture> =
             self.turned.iter().map(|camera| self.renderer.render(camera)).collect::<Result<_, _>>()?;
@@ -218,7 +218,7 @@ impl<'a> Tasks<'a> {
         let made = &self.frames[i];
         let Intrinsics { width, height, .. } = made.header.camera.intrinsics;
         let frame_size = [width, height];
-        // Every task has run; an infinite time would show a mistake.
+        // Every task has run; an infinite time would reveal a mistake.
         let time =
             |task: Task| self.least.get(&task).copied().unwrap_or(Time { wall: f64::INFINITY, gpu: None });
         let (render, through) = (time(Task::Render(angle)), time(Task::Through(frame_size)));
@@ -262,7 +262,7 @@ impl<'a> Tasks<'a> {
     }
 }
 
-/// One time in units of another: by the device's clock where both have it.
+/// The ratio of two times: by the device's clock where both have it.
 fn ratio(of: Time, to: Time) -> f64 {
     of.gpu.zip(to.gpu).map_or(of.wall / to.wall, |(of, to)| of / to)
 }
@@ -281,7 +281,7 @@ fn decode(encoded: &codec::EncodedFrame) -> Result<LayeredFrame, BenchError> {
 fn timed<T>(backend: &Backend, body: impl FnOnce() -> Result<T, BenchError>) -> Result<Time, BenchError> {
     let run = || -> Result<f64, BenchError> {
         let start = Instant::now();
-        // What it makes is dropped off the clock.
+        // Dropping the result is not timed.
         let _made = body()?;
         Ok(start.elapsed().as_secs_f64() * 1e3)
     };
@@ -292,5 +292,5 @@ fn timed<T>(backend: &Backend, body: impl FnOnce() -> Result<T, BenchError>) -> 
     Ok(Time { wall, gpu: gpu.map(|t| t.as_secs_f64() * 1e3) })
 }
 
-/// A run below this is repeated where that is worth it.
+/// Shorter runs are repeated, where that is worthwhile.
 const SHORT_MS: f64 = 2000.0;

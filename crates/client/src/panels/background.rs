@@ -6,6 +6,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 
+use isinglass_formats::write_whole;
+
 use crate::view::Waker;
 
 /// One piece of work at a time. It yields a `T`, or one line that says why not.
@@ -65,12 +67,15 @@ pub(crate) enum Written {
 /// # Errors
 /// One line with the path.
 pub(crate) fn write_text(path: PathBuf, text: &str, replaces: bool) -> Result<Written, String> {
-    let result = if replaces { replace(&path, text) } else { create(&path, text.as_bytes()) };
-    match result {
-        Ok(()) => Ok(Written::At(std::path::absolute(&path).unwrap_or(path))),
-        Err(e) if !replaces && e.kind() == std::io::ErrorKind::AlreadyExists => Ok(Written::Exists(path)),
-        Err(e) => Err(format!("{}: {e}", path.display())),
+    if replaces {
+        write_whole(&path, text.as_bytes()).map_err(|e| e.to_string())?;
+    } else if let Err(e) = create(&path, text.as_bytes()) {
+        return match e.kind() {
+            std::io::ErrorKind::AlreadyExists => Ok(Written::Exists(path)),
+            _ => Err(format!("{}: {e}", path.display())),
+        };
     }
+    Ok(Written::At(std::path::absolute(&path).unwrap_or(path)))
 }
 
 /// Creates a file with these bytes.
@@ -80,13 +85,6 @@ pub(crate) fn write_text(path: PathBuf, text: &str, replaces: bool) -> Result<Wr
 pub(crate) fn create(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
     file.write_all(bytes).inspect_err(|_| drop(std::fs::remove_file(path)))
-}
-
-fn replace(path: &Path, text: &str) -> std::io::Result<()> {
-    let mut aside = path.as_os_str().to_owned();
-    aside.push(format!(".{}.new", std::process::id()));
-    let result = std::fs::write(&aside, text).and_then(|()| std::fs::rename(&aside, path));
-    result.inspect_err(|_| drop(std::fs::remove_file(&aside)))
 }
 
 /// The path that a person wrote: without blanks around it, and with `~` for the home folder.

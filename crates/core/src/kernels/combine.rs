@@ -29,40 +29,40 @@ use crate::mode::Compositing;
 use crate::picture::Picture;
 use crate::space::{Aabb, Ray};
 
-/// Frames with what is constant over all rays of a picture.
+/// Several frames, with everything that is constant over the rays of a picture.
 pub struct Combiner {
-    layers: Vec<Layer>,
-    /// What is left of the volume, with the widest of the margins.
+    layers: Vec<FrameLayer>,
+    /// The visible part of the volume, with the widest of the margins.
     region: Region,
     options: CastOptions,
 }
 
 /// One frame.
-struct Layer {
+struct FrameLayer {
     caster: Raycaster,
-    view: View,
-    /// Lists from the border on which its coverage grows to 1.
+    view: FrameFrustum,
+    /// Width of the border band in which its coverage grows to 1, lists.
     band: f32,
 }
 
 /// The frustum of a frame's camera.
 #[derive(Clone, Copy)]
-struct View {
+struct FrameFrustum {
     basis: Basis,
     near: f32,
 }
 
-/// Parts of a ray, in world distance.
+/// Intervals of a ray, world distance.
 #[derive(Clone, Copy)]
 struct Parts {
     line: PixelLine,
-    /// Where the frame sees anything.
+    /// Where the frame has any coverage.
     outer: (f32, f32),
     /// Where its coverage is 1.
     inner: (f32, f32),
 }
 
-/// What was seen of a ray: by *over*, or in a projection.
+/// What a ray has collected: by *over*, or in a projection.
 struct Acc {
     compositing: Compositing,
     over: Over,
@@ -70,7 +70,7 @@ struct Acc {
 }
 
 impl Acc {
-    /// Puts something behind what is there.
+    /// Puts something behind what was collected.
     fn put(&mut self, seen: &Over) {
         self.over.c += seen.c * self.over.transmittance;
         self.over.transmittance *= seen.transmittance;
@@ -81,28 +81,27 @@ impl Acc {
     }
 }
 
-/// What is cast from one cut of a ray to another.
+/// What is cast between two cuts of a ray.
 #[derive(Clone, Copy)]
-enum Piece {
+enum CastPiece {
     /// One frame.
     Alone(usize),
-    /// Several, in a band where the coverage of one changes.
+    /// Several frames, in a band where the coverage of one changes.
     Mixed,
 }
 
-impl View {
+impl FrameFrustum {
     fn of(camera: &Camera) -> Self {
         Self { basis: camera.basis(), near: camera.near }
     }
 
-    /// The part of `within` that lies at least `inset` pixels inside the frustum; empty if its end is not after its
-    /// start.
+    /// The part of `within` at least `inset` pixels inside the frustum; empty unless its end is after its start.
     fn clip(&self, line: &PixelLine, inset: f32, within: (f32, f32)) -> (f32, f32) {
         let planes = frustum_planes(line, [self.basis.width, self.basis.height], self.near, inset);
         clip_by_planes(planes, within)
     }
 
-    /// Pixels of a homogeneous pixel at a view depth from the nearest border, negative outside and minus infinity behind the
+    /// Distance of a homogeneous pixel from the nearest border, pixels: negative outside, minus infinity behind the
     /// near plane.
     fn inset(&self, h: Vec3, depth: f32) -> f32 {
         if depth < self.near {
@@ -112,30 +111,30 @@ impl View {
         x.min(self.basis.width - x).min(y).min(self.basis.height - y)
     }
 
-    /// The same of a point of the world.
+    /// The same for a point in world space.
     fn inset_of(&self, point: Vec3) -> f32 {
         self.inset(self.basis.pixel_from_point(point), self.basis.depth_of(point))
     }
 }
 
 impl Combiner {
-    /// At most [`MAX_FRAMES`] frames of one volume and look, the newest first; `bounds` is the box of the volume, `display`
-    /// the camera of the picture, and of the volume what `clip` leaves is shown.
+    /// Takes at most [`MAX_FRAMES`] frames of one volume and look, the newest first. `bounds` is the box of the
+    /// volume, `display` the picture's camera, and `clip` the visible part.
     pub fn new(frames: &[&LayeredFrame], bounds: &Aabb, display: &Camera, clip: &Clip) -> Self {
         let mut rounding = 0f32;
         let layers = frames.iter().take(MAX_FRAMES).enumerate().map(|(n, frame)| {
             let camera = &frame.header.camera;
             rounding = rounding.max(MARGIN_UNITS * (camera.far - camera.near) / DEPTH_UNITS);
-            let view = View::of(camera);
+            let view = FrameFrustum::of(camera);
             let band = if n == 0 { band_of_newest(camera, &display.basis(), bounds) } else { BAND };
-            Layer { caster: Raycaster::new(frame, bounds), view, band }
+            FrameLayer { caster: Raycaster::new(frame, bounds), view, band }
         });
         let layers = layers.collect();
         let options = CastOptions { clip: *clip, ..CastOptions::default() };
         Self { layers, region: clip.region(bounds).grown(rounding), options }
     }
 
-    /// Premultiplied colour and opacity seen along a ray of world space.
+    /// Premultiplied colour and opacity along a ray in world space.
     pub fn cast(&self, ray: &Ray) -> Over {
         let Some((newest, older)) = self.layers.split_first() else { return Over::default() };
         let Some(all) = self.region.clip(ray) else { return Over::default() };
@@ -170,8 +169,8 @@ impl Combiner {
         });
         cuts.sort_unstable_by(f32::total_cmp);
         let mut acc = Acc { compositing, over: Over::default(), projected: Projected::default() };
-        // A frame that is alone from one cut to the next is cast over both pieces at once.
-        let mut pending: Option<(Piece, (f32, f32))> = None;
+        // A frame that is alone in neighbouring pieces is cast over all of them at once.
+        let mut pending: Option<(CastPiece, (f32, f32))> = None;
         for pair in cuts.windows(2) {
             let [from, to] = [pair[0], pair[1]];
             if to <= from {
@@ -186,10 +185,12 @@ impl Combiner {
             let next = first.map(|n| {
                 let is_full = parts[n].is_some_and(|p| holds(p.inner));
                 let has_others = parts[n + 1..].iter().any(|p| p.is_some_and(|p| holds(p.outer)));
-                if has_others && !is_full { Piece::Mixed } else { Piece::Alone(n) }
+                if has_others && !is_full { CastPiece::Mixed } else { CastPiece::Alone(n) }
             });
             match (next, &mut pending) {
-                (Some(Piece::Alone(n)), Some((Piece::Alone(before), (_, end)))) if *before == n => *end = to,
+                (Some(CastPiece::Alone(n)), Some((CastPiece::Alone(before), (_, end)))) if *before == n => {
+                    *end = to
+                }
                 _ => {
                     if let Some((piece, within)) = pending.take() {
                         self.add(&mut acc, ray, &parts, piece, within);
@@ -204,17 +205,17 @@ impl Combiner {
         acc
     }
 
-    /// Puts a piece behind what is there: of one frame, or mixed, in steps of about a list.
+    /// Puts a piece behind what was collected: of one frame, or mixed in steps of about a list.
     fn add(
         &self,
         acc: &mut Acc,
         ray: &Ray,
         parts: &[Option<Parts>; MAX_FRAMES],
-        piece: Piece,
+        piece: CastPiece,
         within: (f32, f32),
     ) {
         let project = |n: usize, within| self.layers[n].caster.project_between(ray, within, &self.options);
-        if let Piece::Alone(n) = piece {
+        if let CastPiece::Alone(n) = piece {
             if acc.compositing == Compositing::Over {
                 acc.put(&self.layers[n].caster.cast_between(ray, within, &self.options));
             } else {
@@ -240,7 +241,7 @@ impl Combiner {
             let mut weights = [0.0; MAX_FRAMES];
             let mut rest = 1.0;
             for (n, layer) in self.layers.iter().enumerate() {
-                // The newest frame's band can have no width: then all that it sees is covered.
+                // The newest frame's band may have no width; then it covers all that it sees.
                 let covered = if layer.band > 0.0 {
                     insets[n] / layer.band
                 } else {
@@ -267,7 +268,7 @@ impl Combiner {
             let (mut tau, mut light) = (0.0, Vec3::ZERO);
             for (n, weight) in weights {
                 let seen = self.layers[n].caster.cast_between(ray, (from, to), &self.options);
-                // Where nothing can be seen through, casting stops: how much more there is was not looked at.
+                // Casting stops at opaque matter, so this optical depth is a lower bound.
                 let tau_n = -seen.transmittance.max(TRANSMITTANCE_MIN).ln();
                 if tau_n > 0.0 {
                     tau += weight / sum * tau_n;
@@ -282,13 +283,13 @@ impl Combiner {
     }
 }
 
-/// The picture of several layered frames of one volume and look from a camera, the newest first; with one frame that of
-/// [`super::raycast::raycast`]. Premultiplied linear. `bounds` is the box of the volume.
+/// The picture of several layered frames of one volume and look, the newest first, premultiplied linear. With one
+/// frame it equals [`super::raycast::raycast`]. `bounds` is the box of the volume.
 pub fn combine(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera) -> Picture {
     combine_clipped(frames, bounds, camera, &Clip::default())
 }
 
-/// The same of what `clip` leaves of the volume.
+/// The same with only the part of the volume inside `clip`.
 pub fn combine_clipped(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera, clip: &Clip) -> Picture {
     let mut picture = Picture::new(camera.intrinsics.width, camera.intrinsics.height);
     let combiner = Combiner::new(frames, bounds, camera, clip);
@@ -303,15 +304,16 @@ pub fn combine_clipped(frames: &[&LayeredFrame], bounds: &Aabb, camera: &Camera,
     picture
 }
 
-/// Which of the `kept` frames show what the newest does not see of a picture: at most [`MAX_FRAMES`] − 1 of them, by
-/// their cameras, the one that adds most first, and of two alike the later in the list. None if the newest sees all.
+/// Chooses the `kept` frames that show what the newest lacks in a picture, by their cameras: at most [`MAX_FRAMES`] −
+/// 1. The one that adds most comes first; of two alike, the later in the list does. Empty if the newest sees
+/// everything.
 pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb) -> Vec<usize> {
     let sees = |camera: &Camera, p: Vec3, inset: f32| {
-        let view = View::of(camera);
+        let view = FrameFrustum::of(camera);
         view.inset_of(p) > inset
     };
     let all = points(&display.basis(), bounds);
-    // Half a list: from its own pose a frame sees all points, which lie on the rays of pixels.
+    // The inset is half a list: a frame sees all points from its own pose, on the rays of its pixels.
     let mut unseen: Vec<Vec3> = all.iter().copied().filter(|p| !sees(newest, *p, -0.5)).collect();
     let worth_while = all.len() / 100 + 1;
     let mut chosen = Vec::new();
@@ -325,15 +327,14 @@ pub fn choose(display: &Camera, newest: &Camera, kept: &[Camera], bounds: &Aabb)
     chosen
 }
 
-/// Lists from the newest frame's border on which its coverage grows to 1 in a picture of `display`: by how many pixels that
-/// shows matter beyond the border, at most.
+/// Width of the newest frame's band in a picture of `display`, lists: the most pixels by which the picture shows
+/// matter beyond its border.
 pub fn band_of_newest(newest: &Camera, display: &Basis, bounds: &Aabb) -> f32 {
-    let view = View::of(newest);
+    let view = FrameFrustum::of(newest);
     points(display, bounds).into_iter().map(|p| -view.inset_of(p)).fold(0.0, f32::max).clamp(0.0, BAND)
 }
 
-/// Points of the box that a picture shows: on a grid of its rays, from the first pixel to the last, where each enters
-/// the box, leaves it, and between.
+/// Points of the box that a picture shows: on a grid of its rays, where each enters and leaves the box, and between.
 fn points(basis: &Basis, bounds: &Aabb) -> Vec<Vec3> {
     let side = |n: f32, i: usize| 0.5 + (n - 1.0) * (i as f32 / (GRID - 1) as f32);
     let mut points = Vec::with_capacity(GRID * GRID * DEPTHS);
@@ -346,13 +347,13 @@ fn points(basis: &Basis, bounds: &Aabb) -> Vec<Vec3> {
     points
 }
 
-/// Most frames that a picture is made of.
+/// Most frames in one picture.
 pub const MAX_FRAMES: usize = 4;
-/// Width of the band in which frames are mixed, lists: wide enough that no border shows, and a hundredth or two of a
-/// frame, so that it costs little.
+/// Width of the band that mixes frames, lists: wide enough to hide the border, and only a hundredth or two of a
+/// frame.
 const BAND: f32 = 8.0;
-/// A frame with less weight is left out: a quarter of one step of 1/255.
+/// The least weight of a frame that is cast: a quarter of one step of 1/255.
 const LEAST_WEIGHT: f32 = 1e-3;
-/// Rays of a picture that are looked at along each side, and points on each.
+/// Rays along each side of the grid, and points on each ray.
 const GRID: usize = 9;
 const DEPTHS: usize = 4;

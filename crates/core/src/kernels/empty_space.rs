@@ -1,9 +1,8 @@
-//! Where a layered frame holds nothing, in coarse cells (Gupta 2022, section 5). Twin of `shaders/empty_space.wgsl`.
+//! The empty cells of a layered frame (Gupta 2022, section 5). Twin of `shaders/empty_space.wgsl`.
 //!
-//! A cell is a tile of [`TILE`]×[`TILE`] lists times one of [`DEPTH_CELLS`] slices of equal view depth between near and
+//! A cell is a tile of [`TILE`]×[`TILE`] lists in one of [`DEPTH_CELLS`] slices of equal view depth between near and
 //! far. A segment occupies every cell that it reaches into. The grid is derived from the frame and never transmitted.
-//! A tile has a word with a bit for every occupied cell: a ray tests a stretch of its way, however many slices it runs
-//! through, with one *and*.
+//! Each tile has a word with one bit per occupied cell, so a ray tests any stretch of its path with one *and*.
 
 use rayon::prelude::*;
 
@@ -14,12 +13,12 @@ use crate::layer::LayeredFrame;
 pub struct EmptySpace {
     /// Tiles along x and y.
     pub tiles: [u32; 2],
-    /// One word a tile, row by row: bit i says that cell i holds a segment.
+    /// One word per tile, row by row: bit i is set if a segment reaches into cell i.
     pub occupied: Vec<u32>,
 }
 
 impl EmptySpace {
-    /// The grid of a frame.
+    /// Derives the grid of a frame.
     pub fn new(frame: &LayeredFrame) -> Self {
         let size = frame.header.camera.intrinsics;
         let tiles = [size.width.div_ceil(TILE), size.height.div_ceil(TILE)];
@@ -27,7 +26,7 @@ impl EmptySpace {
         Self { tiles, occupied: (0..tiles[0] * tiles[1]).into_par_iter().map(tile).collect() }
     }
 
-    /// Share of the cells that hold nothing.
+    /// Fraction of cells that are empty.
     pub fn empty_share(&self) -> f32 {
         let num_occupied: u32 = self.occupied.iter().map(|bits| bits.count_ones()).sum();
         1.0 - num_occupied as f32 / (self.occupied.len() as f32 * DEPTH_CELLS as f32)
@@ -47,26 +46,26 @@ fn occupied(frame: &LayeredFrame, tile_x: u32, tile_y: u32) -> u32 {
     lists.flat_map(|list| frame.list(list)).map(bits).fold(0, |all, bits| all | bits)
 }
 
-/// First and last cell of a segment by its word of the depth plane. A segment that ends on a border does not reach
-/// into the cell behind.
+/// First and last cell of a segment, from its word in the depth plane. A segment that ends on a border does not reach
+/// into the next cell.
 fn cells_of_segment(word: u32) -> (u32, u32) {
     ((word & 0xffff) / CELL_UNITS, ((word >> 16).max(1) - 1) / CELL_UNITS)
 }
 
-/// The cell of a depth in units.
+/// The cell at a depth in units.
 pub(super) fn cell_of_depth(depth: f32) -> u32 {
     (depth * (1.0 / CELL_UNITS as f32)).clamp(0.0, DEPTH_CELLS as f32 - 1.0) as u32
 }
 
 /// Bits `first` to `last`.
 pub(super) fn cell_bits(first: u32, last: u32) -> u32 {
-    // In two steps: a shift by 32 is none.
+    // In two steps, because a shift by 32 does nothing.
     (0xffff_ffff << first) & !(0xffff_fffe << last)
 }
 
 /// Lists along the side of a tile.
 pub const TILE: u32 = 8;
-/// Slices between near and far: one bit each of a word.
+/// Slices between near and far: one bit of a word each.
 pub const DEPTH_CELLS: u32 = 32;
 /// Depth units of a slice.
 pub const CELL_UNITS: u32 = 2048;

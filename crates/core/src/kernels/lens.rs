@@ -28,7 +28,7 @@ use crate::space::Aabb;
 /// A pinhole view whose frustum may be off-axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// Eye and picture plane; `forward` need not be perpendicular to `right` and `up`, but has view depth 1.
+    /// Eye and picture plane; `forward` has view depth 1 and need not be perpendicular to `right` and `up`.
     pub basis: Basis,
     /// Least view depth that is drawn.
     pub near: f32,
@@ -43,8 +43,8 @@ impl From<&Camera> for View {
 }
 
 impl View {
-    /// The view from an eye moved by `offset` (to the right and up, world units) that has the plane at view depth
-    /// `focus_depth` where it was. No offset gives the same view to the bit.
+    /// The view from an eye moved by `offset` (right and up, world units) that keeps the plane at `focus_depth` in
+    /// place. A zero offset gives the same view to the bit.
     pub fn shifted(&self, offset: Vec2, focus_depth: f32) -> Self {
         let Basis { right, up, .. } = self.basis;
         let o = right.normalize() * offset.x + up.normalize() * offset.y;
@@ -53,13 +53,13 @@ impl View {
         Self { basis, ..*self }
     }
 
-    /// The views of the left and of the right eye, `eye_distance` apart (world units), around this one. What lies at
-    /// view depth `focus_depth` is at the same place in both: on the screen, for who looks at them.
+    /// The views of the left and the right eye around this one, `eye_distance` apart in world units. Points at view
+    /// depth `focus_depth` coincide, so they appear on the screen.
     pub fn stereo(&self, eye_distance: f32, focus_depth: f32) -> [Self; 2] {
         [-0.5, 0.5].map(|side| self.shifted(Vec2::X * (side * eye_distance), focus_depth))
     }
 
-    /// Whether it can be drawn: finite, ordered, of a bounded size.
+    /// Whether it can be drawn: it is finite, ordered and of bounded size.
     pub fn is_valid(&self) -> bool {
         let Basis { eye, forward, right, up, width, height, perspective } = self.basis;
         let is_side = |side: f32| (1.0..=MAX_SIDE as f32).contains(&side);
@@ -76,19 +76,19 @@ impl View {
 /// What a picture is averaged over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
-    /// Radius of the lens, world units; 0: a pinhole.
+    /// Radius of the lens, world units; 0 for a pinhole.
     pub aperture_radius: f32,
-    /// View depth that is sharp, world units, positive.
+    /// View depth in focus, world units, positive.
     pub focus_depth: f32,
-    /// The pose at which the shutter closes, if the camera moves meanwhile. It opens at the camera's own.
+    /// The pose at which the shutter closes, if the camera moves. It opens at the camera's own.
     pub shutter: Option<Pose>,
-    /// Views to average, at least 1.
+    /// Number of views to average, at least 1.
     pub num_samples: u32,
 }
 
 impl Exposure {
-    /// The views whose mean is the picture of `camera`; a single one, the camera's own, if nothing moves and the lens
-    /// is a point. `bounds` is the box of the volume: the camera turns around its centre.
+    /// The views whose mean is the picture of `camera`; only its own if nothing moves and the lens is a point.
+    /// `bounds` is the box of the volume: the camera turns around its centre.
     pub fn views(&self, camera: &Camera, bounds: &Aabb) -> Vec<View> {
         let shutter = self.shutter.filter(|close| *close != camera.pose);
         let n = self.num_samples.max(1);
@@ -101,7 +101,7 @@ impl Exposure {
                 let view = match shutter {
                     None => View::from(camera),
                     Some(close) => {
-                        // Every time once, in an order that has nothing to do with that of the lens points.
+                        // This visits every time once, in an order unrelated to the lens points.
                         let turn = u64::from(i) * u64::from(stride) % u64::from(n);
                         let t = (turn as f32 + 0.5) / n as f32;
                         let pose = pose_between(&camera.pose, &close, bounds.center(), t);
@@ -122,32 +122,32 @@ impl Exposure {
 /// `n` and without a seed.
 pub fn disc_point(i: u32, n: u32) -> Vec2 {
     let radius = ((i as f32 + 0.5) / n.max(1) as f32).sqrt();
-    // In double precision: a turn of thousands of radians has few digits left in single.
+    // Single precision would lose the digits of a turn by thousands of radians.
     let angle = f64::from(i) * GOLDEN_ANGLE;
     Vec2::new(angle.cos() as f32, angle.sin() as f32) * radius
 }
 
-/// The pose a part `t` of the way from `open` to `close`, turning around `center`: rotation by slerp (the short way), the
-/// eye's place relative to the centre, in view space, on a straight line. Between two poses of one orbit the distance stays,
-/// where a straight line through the world would dip towards the volume.
+/// The pose at fraction `t` from `open` to `close`, turning around `center`. The rotation is a slerp along the short
+/// way; the eye's offset from the centre moves linearly in view space. Between poses of one orbit the distance stays
+/// constant, where a straight line in the world would dip towards the volume.
 pub fn pose_between(open: &Pose, close: &Pose, center: Vec3, t: f32) -> Pose {
     let in_view = |pose: &Pose| pose.world_from_view.inverse() * (pose.eye - center);
     let world_from_view = open.world_from_view.slerp(close.world_from_view, t).normalize();
     Pose { eye: center + world_from_view * in_view(open).lerp(in_view(close), t), world_from_view }
 }
 
-/// The mean over `views` of the pictures of a layered frame. Premultiplied linear. `bounds` is the box of the volume. All
+/// The mean over `views` of a layered frame's pictures, premultiplied linear. `bounds` is the box of the volume. All
 /// views have the size of the first; without any the picture has no pixels.
 pub fn raycast_mean(frame: &LayeredFrame, bounds: &Aabb, views: &[View]) -> Picture {
     mean_of_casts(&Raycaster::new(frame, bounds), views, &CastOptions::default())
 }
 
-/// The same for a frame that is made ready, cast as `options` say.
+/// The same with a prepared frame, cast with `options`.
 pub fn mean_of_casts(caster: &Raycaster, views: &[View], options: &CastOptions) -> Picture {
     mean_of(views, |view, x, y| caster.cast(&view.basis.ray(x, y).0, options).rgba())
 }
 
-/// The mean over `views` of full volume renderings: what [`raycast_mean`] is held against.
+/// The mean over `views` of full volume renderings: the reference for [`raycast_mean`].
 pub fn render_mean(scene: &Scene, views: &[View]) -> Picture {
     with_texels!(scene, texels => render_mean_with(&Marcher::new(scene, texels), views))
 }
@@ -159,7 +159,7 @@ fn render_mean_with<T: Texels>(marcher: &Marcher<'_, T>, views: &[View]) -> Pict
     })
 }
 
-/// The mean over views of `pixel`, called with points of pixel space.
+/// The mean over views of `pixel`, which takes points in pixel space.
 fn mean_of(views: &[View], pixel: impl Fn(&View, f32, f32) -> [f32; 4] + Sync) -> Picture {
     let (width, height) = views.first().map_or((0, 0), |v| (v.basis.width as u32, v.basis.height as u32));
     let mut picture = Picture::new(width, height);
@@ -174,7 +174,7 @@ fn mean_of(views: &[View], pixel: impl Fn(&View, f32, f32) -> [f32; 4] + Sync) -
     picture
 }
 
-/// The mean of pictures of one size, made one after the other; none if there are none.
+/// The mean of pictures of one size, made one after the other; `None` without any.
 pub fn mean_picture<E>(pictures: impl Iterator<Item = Result<Picture, E>>) -> Result<Option<Picture>, E> {
     let mut sum: Option<(Picture, usize)> = None;
     for picture in pictures {
@@ -202,8 +202,8 @@ fn scale(picture: &mut Picture, num_views: usize) {
     picture.pixels.iter_mut().flatten().for_each(|p| *p *= share);
 }
 
-/// A number without a common divisor with `n`, near n over the golden ratio: its multiples modulo n visit every number
-/// once, each far from those before.
+/// A number coprime to `n`, near n over the golden ratio. Its multiples modulo n visit every number once, each far
+/// from the previous ones.
 fn coprime_stride(n: u32) -> u32 {
     let gcd = |mut a: u32, mut b: u32| {
         while b > 0 {
@@ -215,7 +215,7 @@ fn coprime_stride(n: u32) -> u32 {
     (near.max(1)..=n).find(|&stride| gcd(stride, n) == 1).unwrap_or(1)
 }
 
-/// Most views of one picture: beyond, no eye sees a difference, and a typing error would take for ever.
+/// Most views of one picture: more make no visible difference, and a typing error would take for ever.
 pub const MAX_SAMPLES: u32 = 4096;
 const GOLDEN_RATIO: f64 = 1.618_033_988_749_895;
 /// π(3 − √5), radians.

@@ -1,13 +1,12 @@
-//! The march through a volume: steps along a ray, classified and shaded, handed to a [`Sink`].
+//! The march through a volume: it classifies and shades steps along a ray and hands them to a [`Sink`].
 //!
-//! Twin of `shaders/march.wgsl`. What becomes of the steps is the sink's choice: a picture ([`render`]) or the lists
-//! of a layered frame ([`super::layering`]).
+//! Twin of `shaders/march.wgsl`. The sink makes a picture of the steps ([`render`]) or the lists of a layered frame
+//! ([`super::layering`]).
 //!
-//! The interval of the ray inside the volume's box is divided into n equal steps of at most
-//! `step_in_voxels` in the space of the voxels, whichever way it runs. Both ends of a step are sampled trilinearly and the step is classified by the
-//! pre-integrated table ([`crate::transfer`]), so the step length changes neither opacity nor which features are
-//! seen. Steps between lattice points that lie in one invisible brick are jumped; the lattice stays, so the picture
-//! with and without skipping is the same.
+//! The ray's interval inside the box is divided into n equal steps. Each is at most `step_in_voxels` long in voxel
+//! space, in any direction. Both ends of a step are sampled trilinearly, and the pre-integrated table classifies it
+//! ([`crate::transfer`]). So the step length changes neither opacity nor the visible features. The march skips steps
+//! between lattice points within one invisible brick. The lattice stays, so the picture is the same without skipping.
 
 mod grid;
 pub mod modes;
@@ -24,7 +23,7 @@ use rayon::prelude::*;
 
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
-use self::modes::{Between, SURFACES, Shown, Surface};
+use self::modes::{Collected, SURFACES, SamplePair, Surface};
 use self::skipper::{Skipper, VisibleBins};
 use self::surfaces::Thicken;
 use crate::camera::Camera;
@@ -40,19 +39,19 @@ use crate::volume::{
 };
 use crate::width::has_avx2;
 
-/// How to march.
+/// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarchSettings {
     /// Greatest step, in units of the least spacing.
     pub step_in_voxels: f32,
-    /// Shading, or none.
+    /// Shading, if any.
     pub shading: Option<Shading>,
-    /// What of the volume is marched.
+    /// The part of the volume that is marched.
     pub clip: Clip,
-    /// Ambient occlusion and shadows. Its light is that of the shading where both are made of a
-    /// [`Look`](crate::look::Look).
+    /// Ambient occlusion and shadows. Where both come from a [`Look`](crate::look::Look), shading uses the same
+    /// light.
     pub lighting: Lighting,
-    /// How finely they are worked out.
+    /// The detail of the lighting.
     pub detail: Detail,
     /// What a ray collects.
     pub mode: Mode,
@@ -70,33 +69,33 @@ impl Default for MarchSettings {
 }
 
 impl MarchSettings {
-    /// For the picture that stays, with shading or not, and both by the light of `lighting`.
+    /// Full detail, with or without shading, by the light of `lighting`.
     pub fn of(shaded: bool, lighting: Lighting) -> Self {
         let shading = Shading { light: lighting.direction(), ..Shading::default() };
         Self { shading: shaded.then_some(shading), lighting, ..Self::default() }
     }
 }
 
-/// A volume ready to be marched: with bricks, and a transfer function tabulated for it.
+/// A volume that is ready to be marched, with bricks and a tabulated transfer function.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// The voxels.
     pub volume: Arc<Volume>,
-    /// Their min/max.
+    /// Their minima and maxima by brick.
     pub bricks: Arc<Bricks>,
     /// Their histogram.
     pub histogram: Arc<Histogram>,
-    /// Classification; in a projection what is shown of a value ([`TransferFunction::shown_table`]).
+    /// Classification; in a projection, the display colour of a value ([`TransferFunction::shown_table`]).
     pub table: TransferTable,
     /// The surfaces of [`Mode::Iso`], by ascending position.
     pub surfaces: Vec<Surface>,
-    /// Whether the matter of surfaces lies on the side of the lesser values.
+    /// Whether surfaces enclose matter of lesser values.
     pub has_lesser_bodies: bool,
     /// Bricks that the mode leaves visible.
     pub occupancy: Occupancy,
     /// Brightness of the voxels, if `settings` ask for shading or lighting.
     pub illumination: Illumination,
-    /// Step and shading.
+    /// The settings of the march.
     pub settings: MarchSettings,
 }
 
@@ -122,10 +121,10 @@ impl Scene {
         }
     }
 
-    /// The same volume with another look; bricks and histogram are shared, and so is of the light what does not change.
+    /// The same volume with another look. Bricks, histogram and unchanged lighting are shared.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
         let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
-        // A clip or a light that is dragged leaves what can be seen of a brick as it is.
+        // Dragging a clip or a light does not change which bricks are visible.
         let is_seen_alike =
             (self.settings.mode, &self.table, &self.surfaces) == (settings.mode, &table, &surfaces);
         let occupancy = match is_seen_alike {
@@ -137,12 +136,12 @@ impl Scene {
         Self { table, surfaces, has_lesser_bodies, occupancy, illumination, settings, ..self.clone() }
     }
 
-    /// What is left of the volume.
+    /// The visible part of the volume.
     pub fn region(&self) -> Region {
         self.settings.clip.region(&self.volume.bounds())
     }
 
-    /// Steps of the longest ray.
+    /// Number of steps on the longest ray.
     pub fn max_steps(&self) -> u32 {
         (self.volume.dims_f32().length() / self.settings.step_in_voxels).ceil().clamp(1.0, MAX_STEPS) as u32
     }
@@ -151,15 +150,14 @@ impl Scene {
         self.settings.step_in_voxels * self.volume.spacing().min_element()
     }
 
-    /// The lattice of steps of a ray inside what is left of the volume, in front of the camera's near plane.
+    /// The lattice of steps of a ray inside the visible part, in front of the camera's near plane.
     pub fn lattice(&self, ray: &Ray, near: f32) -> Option<Lattice> {
         let (s0, s1) = self.region().clip(ray)?;
         let s0 = s0.max(near);
         if s1 <= s0 {
             return None;
         }
-        // Along sides of voxels that are longer, a step is longer too: between two voxels no ray meets more than along the
-        // shortest.
+        // Along longer sides of voxels a step is longer too, so each ray takes the same steps between two voxels.
         let voxel_from_world = self.volume.spacing().recip();
         let voxels = (ray.dir * voxel_from_world).length();
         let share = (voxels / voxel_from_world.max_element()).min(1.0);
@@ -214,7 +212,7 @@ pub struct Lattice {
     pub h: f32,
     /// Number of steps, at least 1.
     pub n: u32,
-    /// The length that the errors of merging are counted in: about the least step of all rays, whichever way this one goes.
+    /// The unit of length for merging errors: about the least step of all rays, in any direction.
     pub unit: f32,
 }
 
@@ -225,7 +223,7 @@ pub struct Step {
     pub s0: f32,
     /// World distance of the back.
     pub s1: f32,
-    /// Premultiplied colour of the step on its own.
+    /// Premultiplied colour of the step alone.
     pub c: Vec3,
     /// Optical depth, above [`TAU_MIN`].
     pub tau: f32,
@@ -233,30 +231,30 @@ pub struct Step {
     pub alpha: f32,
 }
 
-/// How a march goes on after a step, in lattice points.
+/// How a march continues after a step, in lattice points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
-    /// Not at all.
+pub enum Advance {
+    /// The march stops.
     Stop,
-    /// From one to the next.
+    /// The march goes to the next point.
     Step,
-    /// By [`STRIDE`]: what is behind cannot be seen from here, only from elsewhere.
+    /// The march goes on by [`STRIDE`]: matter behind is hidden from here and visible only from elsewhere.
     Stride,
 }
 
-impl Pace {
-    /// [`Pace::Stride`] behind matter that nothing can be seen through.
+impl Advance {
+    /// Chooses [`Advance::Stride`] behind opaque matter.
     pub fn behind(transmittance: f32) -> Self {
         if transmittance < TRANSMITTANCE_HIDDEN { Self::Stride } else { Self::Step }
     }
 }
 
-/// Takes the visible steps of a ray, front to back.
+/// Takes the visible steps of a ray from front to back.
 pub trait Sink {
-    /// Takes the next step, and says how to go on.
-    fn step(&mut self, step: Step) -> Pace;
+    /// Takes the next step and says how to continue.
+    fn step(&mut self, step: Step) -> Advance;
 
-    /// The key that a step of a projection must be above to be of use; below any where all of them are.
+    /// The key that a useful step of a projection must exceed; negative where all steps are useful.
     #[inline(always)]
     fn least_key(&self) -> f32 {
         -1.0
@@ -285,7 +283,7 @@ macro_rules! with_texels {
 }
 pub use with_texels;
 
-/// A scene with typed voxels and what is constant over all rays.
+/// A scene with typed voxels and everything that is constant over all rays.
 pub struct Marcher<'a, T> {
     scene: &'a Scene,
     voxels: Grid<T>,
@@ -318,7 +316,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         }
     }
 
-    /// Marches the lattice of one ray in a mode that composites with *over*; stops when the sink says so. Surfaces have
+    /// Marches the lattice of one ray in a mode that composites with *over*, until the sink stops it. Surfaces have
     /// thickness, see `surfaces`.
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         if self.scene.settings.mode != Mode::Iso {
@@ -330,7 +328,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         thicken.finish();
     }
 
-    /// The same in a projection, with steps as [`modes::Values`] has them.
+    /// The same for a projection, with steps as in [`modes::Values`].
     pub fn project(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         match self.scene.settings.mode {
             Mode::Mip => self.march_mode::<{ Mode::Mip as u8 }>(ray, lattice, sink),
@@ -343,7 +341,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         #[cfg(target_arch = "x86_64")]
         if self.has_avx2 {
             #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-            // SAFETY: this processor has them.
+            // SAFETY: the processor supports these instructions.
             unsafe {
                 self.march_avx2::<MODE>(ray, lattice, sink);
             }
@@ -352,15 +350,15 @@ impl<'a, T: Texels> Marcher<'a, T> {
         self.march_lanes::<MODE>(ray, lattice, sink);
     }
 
-    /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same too.
+    /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn march_avx2<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         self.march_lanes::<MODE>(ray, lattice, sink);
     }
 
-    /// The shader takes step after step. Here [`LANES`] steps are sampled at once, whether they will be needed or not,
-    /// and then taken in order.
+    /// The shader takes step after step. Here [`LANES`] steps are sampled at once and then taken in order, even if
+    /// the last are not needed.
     #[inline(always)]
     fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let Lattice { s0, h, n, .. } = lattice;
@@ -369,7 +367,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         let skipper = Skipper::new(self, origin, dir, lattice);
         let mut i = 0;
         let mut stride = 1;
-        // Position x in the domain of the last sample, if it was lattice point i.
+        // Domain position of the last sample, if that was lattice point i.
         let mut x_front = None;
         'batch: while i < n {
             let visible = skipper.skip(i, stride, sink.least_key());
@@ -408,12 +406,12 @@ impl<'a, T: Texels> Marcher<'a, T> {
                 while steps != 0 {
                     let m = steps.trailing_zeros() as usize % LANES;
                     steps &= steps - 1;
-                    let between = Between { x0: x0[m], x1: x1[m], s0: s_front[m], s1: s_back[m] };
+                    let between = SamplePair { x0: x0[m], x1: x1[m], s0: s_front[m], s1: s_back[m] };
                     if let Some(pace) = self.take::<MODE>(&between, brightness[m], (origin, dir), sink) {
                         let next_stride = match pace {
-                            Pace::Stop => return,
-                            Pace::Step => 1,
-                            Pace::Stride => STRIDE,
+                            Advance::Stop => return,
+                            Advance::Step => 1,
+                            Advance::Stride => STRIDE,
                         };
                         if next_stride != stride {
                             i = (i + stride * (m as u32 + 1)).min(n);
@@ -429,17 +427,17 @@ impl<'a, T: Texels> Marcher<'a, T> {
         }
     }
 
-    /// Premultiplied colour and opacity seen along a ray from the distance `near` on, until no more than `stop_at` of what is
-    /// behind can be seen.
+    /// Premultiplied colour and opacity along a ray from the distance `near` on, until the transmittance is at most
+    /// `stop_at`.
     pub(crate) fn seen(&self, ray: &Ray, near: f32, stop_at: f32) -> [f32; 4] {
         let Some(lattice) = self.scene.lattice(ray, near) else { return [0.0; 4] };
         if self.scene.settings.mode.is_projection() {
-            let mut shown = Shown::new(self.scene);
+            let mut shown = Collected::new(self.scene);
             self.project(ray, lattice, &mut shown);
             return shown.rgba(lattice);
         }
         let mut sink = OverSink { over: Over::default(), stop_at };
-        // A picture needs no thickness.
+        // A picture needs no thickness of surfaces.
         if self.scene.settings.mode == Mode::Iso {
             self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut sink);
         } else {
@@ -471,7 +469,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         (color.max(Vec3::ZERO).min(Vec3::ONE), h * d_t / dx)
     }
 
-    /// A stored number as a position in the transfer function's domain; surfaces may be of values outside of it.
+    /// A stored number as a position in the transfer function's domain, which may lie outside for surfaces.
     #[inline(always)]
     fn domain<const MODE: u8>(&self, stored: f32) -> f32 {
         let x = stored * self.scene.table.x_scale + self.scene.table.x_offset;
@@ -482,7 +480,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         if x < 1.0 { x } else { 1.0 }
     }
 
-    /// Brightness of matter in the middles of steps: that of the voxels, interpolated trilinearly.
+    /// Brightness of matter at the middles of steps, interpolated trilinearly between voxels.
     #[inline(always)]
     fn shade_lanes(&self, origin: Vec3, dir: Vec3, s_front: &Lanes, s_back: &Lanes) -> Lanes {
         let Some((grid, lit)) = &self.lit else { return [1.0; LANES] };
@@ -498,7 +496,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     }
 }
 
-/// What a front of the steps is, given the first and what is at their backs.
+/// The values at the fronts of steps, given the first front and all backs.
 #[inline(always)]
 fn behind(first: f32, backs: &Lanes) -> Lanes {
     let mut fronts = [first; LANES];
@@ -506,33 +504,33 @@ fn behind(first: f32, backs: &Lanes) -> Lanes {
     fronts
 }
 
-/// Composites steps front to back until no more than `stop_at` of what is behind can be seen.
+/// Composites steps front to back until the transmittance is at most `stop_at`.
 struct OverSink {
     over: Over,
     stop_at: f32,
 }
 
 impl Sink for OverSink {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.over.c += step.c * self.over.transmittance;
         self.over.transmittance *= 1.0 - step.alpha;
-        if self.over.transmittance > self.stop_at { Pace::Step } else { Pace::Stop }
+        if self.over.transmittance > self.stop_at { Advance::Step } else { Advance::Stop }
     }
 }
 
-/// The picture of the volume from a camera: full volume rendering, the reference of all novel views. Premultiplied
-/// linear.
+/// The picture of the volume from a camera, premultiplied linear: full volume rendering, the reference of all novel
+/// views.
 pub fn render(scene: &Scene, camera: &Camera) -> Picture {
     render_until(scene, camera, 0..camera.intrinsics.height, TRANSMITTANCE_MIN)
 }
 
-/// Some rows of [`render`], to the bit.
+/// Some rows of [`render`], equal to the bit.
 pub fn render_rows(scene: &Scene, camera: &Camera, rows: Range<u32>) -> Picture {
     render_until(scene, camera, rows, TRANSMITTANCE_MIN)
 }
 
-/// The same picture by a march that goes on behind opaque matter, step by step to the far side: what a layered frame,
-/// which must know all matter, is compared with in time.
+/// The same picture by a march that also covers matter behind opaque matter, step by step. A layered frame must know
+/// all matter, so its time is compared with this.
 pub fn render_through(scene: &Scene, camera: &Camera) -> Picture {
     render_until(scene, camera, 0..camera.intrinsics.height, STOP_NOWHERE)
 }
@@ -560,7 +558,7 @@ fn render_with<T: Texels>(
     picture
 }
 
-/// The bin of a table that the position `x` in [0, 1] lies in.
+/// The bin of a table for the position `x` in [0, 1].
 #[inline(always)]
 fn bin(x: f32) -> usize {
     ((x * TABLE_BINS as f32) as i32 as usize).min(TABLE_BINS - 1)
@@ -580,18 +578,17 @@ fn lookup(table: &[[f32; 4]], x: f32) -> [f32; 4] {
     value
 }
 
-/// Steps at or below this optical depth are dropped: 4000 of them in a row have an opacity below 1/2000 (design,
-/// trap 5).
+/// Steps at or below this optical depth are dropped: 4000 of them in a row have an opacity below 1/2000.
 pub const TAU_MIN: f32 = 1e-7;
 /// A picture stops marching below this transmittance. In sRGB, 1e-4 of full brightness on black is a third of one
 /// step of 1/255.
 pub const TRANSMITTANCE_MIN: f32 = 1e-4;
-/// A transmittance that no matter has: nothing stops at it.
+/// A transmittance that no matter reaches, so nothing stops the march.
 const STOP_NOWHERE: f32 = -1.0;
-/// Matter behind this transmittance is marched by strides. The pre-integrated classification loses no matter by them, and
-/// what they change in its colour is seen at most a thousandth from here.
+/// Behind this transmittance the march takes strides. The pre-integrated classification loses no matter, and from
+/// here a colour changes by at most a thousandth.
 pub const TRANSMITTANCE_HIDDEN: f32 = 1e-3;
-/// Lattice points of a stride: the step is then a voxel, at the default.
+/// Lattice points of a stride: a voxel at the default step.
 pub const STRIDE: u32 = 2;
-/// Bound on the steps of one ray: eight diagonals of the largest volume at the default step.
+/// Most steps of one ray: eight diagonals of the largest volume at the default step.
 const MAX_STEPS: f32 = 65536.0;

@@ -3,7 +3,7 @@
 //!
 //! A new ray P(s) = O + s·D is linear in the homogeneous pixel coordinates (x·w, y·w, w) of the generating camera,
 //! w being the view depth there. The six planes of its frustum are linear in s too, so the ray is clipped before any
-//! division, also when it runs towards the old eye or starts behind it (design, trap 7). Between the clipped ends
+//! division, also when it runs towards the old eye or starts behind it. Between the clipped ends
 //! with depths w0, w1 and world distance S, the projection is a straight line; with t its parameter,
 //!
 //!   depth(t) = w0·w1/(w1 + t(w0 − w1)),    distance(t) = S·t·w0/(w1 + t(w0 − w1)),
@@ -32,8 +32,8 @@ mod reach;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use self::line::Stretch;
-pub(super) use self::line::{Columns, Line, clip_by_planes, frustum_planes, greater, lesser};
+use self::line::ColumnSpans;
+pub(super) use self::line::{Columns, PixelSpan, clip_by_planes, frustum_planes, greater, lesser};
 pub(super) use self::media::Medium;
 use self::media::{list_cells, unpack};
 pub use self::pieces::opacity;
@@ -54,21 +54,21 @@ use crate::width::has_avx2;
 /// How a ray reads the lists that it runs between.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reconstruction {
-    /// The list whose area the ray crosses, as in the sources.
+    /// The list whose area the ray crosses, as in the papers.
     Nearest,
     /// The two lists whose centres the ray runs between, mixed by nearness.
     #[default]
     Mixed,
 }
 
-/// How to cast.
+/// Options of a cast.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CastOptions {
     /// How the lists are read.
     pub reconstruction: Reconstruction,
-    /// Whether empty cells are jumped; the picture is the same without.
+    /// Whether empty cells are skipped; the picture is the same without.
     pub skips_empty_space: bool,
-    /// What of the volume is shown, whatever the frame holds: segments are cut to their length inside.
+    /// The visible part of the volume, whatever the frame holds: segments are cut at its borders.
     pub clip: Clip,
 }
 
@@ -78,24 +78,24 @@ impl Default for CastOptions {
     }
 }
 
-/// A frame made ready for any number of rays: its segments unpacked to what a crossing needs.
+/// A frame prepared for any number of rays: its segments are unpacked to what a crossing needs.
 pub struct Raycaster {
     offsets: Vec<u32>,
     media: Vec<Medium>,
     /// Backs of each list, filled up to `row_length`.
     backs: Vec<u16>,
     row_length: usize,
-    /// Bit i of a list says that cell i of its depth holds a segment.
+    /// Bit i of a list's word is set if cell i of its depth holds a segment.
     occupied: Vec<u64>,
     empty_space: EmptySpace,
     pub(super) size: [i32; 2],
     basis: Basis,
-    /// Homogeneous pixel coordinates (x·w, y·w, w) of a world-space vector are its products with these.
+    /// The dot products of a world-space vector with these are its homogeneous pixel coordinates (x·w, y·w, w).
     pixel_rows: [Vec3; 3],
-    /// What is added for a point.
+    /// The offset to add for a point.
     pixel_offset: Vec3,
     bounds: Aabb,
-    /// By how much ends of segments may lie outside of what was marched, world units.
+    /// How far segments may reach beyond the marched volume, world units.
     margin: f32,
     near: f32,
     units_per_depth: f32,
@@ -104,10 +104,10 @@ pub struct Raycaster {
     has_avx2: bool,
 }
 
-/// A list that a ray may meet a segment of.
+/// A list that may hold a segment on the ray.
 #[derive(Clone, Copy, Default)]
 struct Met {
-    /// Which part of the stretch.
+    /// The part of the stretch.
     part: u32,
     list: u32,
     nearness: f32,
@@ -116,14 +116,14 @@ struct Met {
 /// What a part of a stretch meets first in a list.
 #[derive(Clone, Copy, Default)]
 struct Found {
-    /// The first segment that ends behind the part's least depth, and the end of the list.
+    /// The first segment whose back is behind the part's least depth, and the end of the list.
     segment: u32,
     end: u32,
     medium: Medium,
 }
 
 impl Raycaster {
-    /// `bounds` is the box of the volume that the frame was made of.
+    /// Prepares a frame. `bounds` is the box of its volume.
     pub fn new(frame: &LayeredFrame, bounds: &Aabb) -> Self {
         let camera = &frame.header.camera;
         let depth_per_unit = (camera.far - camera.near) / DEPTH_UNITS;
@@ -156,17 +156,17 @@ impl Raycaster {
         }
     }
 
-    /// Where the frame holds nothing.
+    /// The empty cells of the frame.
     pub fn empty_space(&self) -> &EmptySpace {
         &self.empty_space
     }
 
-    /// Jumps over other cells from now on.
+    /// Replaces the empty cells.
     pub fn set_empty_space(&mut self, empty_space: EmptySpace) {
         self.empty_space = empty_space;
     }
 
-    /// Premultiplied colour and opacity seen along a ray of world space.
+    /// Premultiplied colour and opacity along a ray in world space.
     pub fn cast(&self, ray: &Ray, options: &CastOptions) -> Over {
         self.cast_between(ray, (0.0, f32::INFINITY), options)
     }
@@ -179,7 +179,7 @@ impl Raycaster {
         }
     }
 
-    /// What is left of the volume, with a margin for the rounding of segments.
+    /// The visible part of the volume, with a margin for the rounding of segments.
     pub(super) fn region(&self, clip: &Clip) -> Region {
         clip.region(&self.bounds).grown(self.margin)
     }
@@ -191,7 +191,7 @@ impl Raycaster {
         let width = picture.width as usize;
         let region = self.region(&options.clip);
         let reach = options.skips_empty_space.then(|| Reach::new(self, &basis));
-        // In blocks of pixels: their rays share lists in the cache, whichever way they run.
+        // Rays within a block of pixels share lists in the cache, in any direction.
         picture.pixels.par_chunks_mut(width * BLOCK_SIDE).enumerate().for_each(|(j, rows)| {
             let mut pieces = Pieces::new();
             for first_x in (0..width).step_by(BLOCK_SIDE) {
@@ -215,28 +215,28 @@ impl Raycaster {
         picture
     }
 
-    fn cast_line(&self, line: &Line, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn cast_line(&self, line: &PixelSpan, ray: &Ray, options: &CastOptions, pieces: &mut Pieces) -> Over {
         if self.compositing != Compositing::Over {
             return self.shown(&self.project_line(line, options), ray);
         }
         #[cfg(target_arch = "x86_64")]
         if self.has_avx2 {
             #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-            // SAFETY: this processor has them.
+            // SAFETY: the processor supports these instructions.
             return unsafe { self.walk_avx2(line, options, pieces) };
         }
         self.walk_any(line, options, pieces)
     }
 
-    /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same too.
+    /// The same with wider instructions. No multiplication is fused with an addition, so the bits are the same.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn walk_avx2(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn walk_avx2(&self, line: &PixelSpan, options: &CastOptions, pieces: &mut Pieces) -> Over {
         self.walk_any(line, options, pieces)
     }
 
     #[inline(always)]
-    fn walk_any(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn walk_any(&self, line: &PixelSpan, options: &CastOptions, pieces: &mut Pieces) -> Over {
         match self.row_length {
             ROW_8 => self.walk_by::<ROW_8>(line, options, pieces),
             ROW_16 => self.walk_by::<ROW_16>(line, options, pieces),
@@ -246,16 +246,16 @@ impl Raycaster {
     }
 
     #[inline(always)]
-    fn walk_by<const K: usize>(&self, line: &Line, options: &CastOptions, pieces: &mut Pieces) -> Over {
+    fn walk_by<const K: usize>(&self, line: &PixelSpan, options: &CastOptions, pieces: &mut Pieces) -> Over {
         match options.reconstruction {
             Reconstruction::Mixed => self.walk::<K, LANES>(line, options, pieces),
             Reconstruction::Nearest => self.walk::<K, { 2 * LANES }>(line, options, pieces),
         }
     }
 
-    /// Clips in homogeneous coordinates, and to what is left of the volume.
+    /// Clips the ray in homogeneous coordinates, and to the visible part of the volume.
     #[inline]
-    fn clip(&self, ray: &Ray, within: (f32, f32), region: &Region) -> Option<Line> {
+    fn clip(&self, ray: &Ray, within: (f32, f32), region: &Region) -> Option<PixelSpan> {
         let (s0, s1) = region.clip(ray)?;
         let pixel_from_world = |v: Vec3| {
             let [x, y, w] = self.pixel_rows;
@@ -278,7 +278,7 @@ impl Raycaster {
         let (w0, w1) = (h0.z.max(self.near * perspective), h1.z.max(self.near * perspective));
         let p0 = [h0.x / w0, h0.y / w0];
         let p1 = [h1.x / w1, h1.y / w1];
-        Some(Line {
+        Some(PixelSpan {
             p0,
             d: [p1[0] - p0[0], p1[1] - p0[1]],
             s_w0: (s1 - s0) * w0,
@@ -291,12 +291,11 @@ impl Raycaster {
         })
     }
 
-    /// Walks the columns of lists along the line, as many at a time as a tile is wide. `K` is the length of a row of
-    /// `backs`.
+    /// Walks the columns of lists along the line, a tile's width at a time. `K` is the length of a row of `backs`.
     #[inline(always)]
     fn walk<const K: usize, const N: usize>(
         &self,
-        line: &Line,
+        line: &PixelSpan,
         options: &CastOptions,
         pieces: &mut Pieces,
     ) -> Over {
@@ -307,7 +306,7 @@ impl Raycaster {
         let (stride_along, stride_across) = (strides[along], strides[across]);
         let columns = Columns::new(line.p0[along], line.d[along]);
         let is_forward = line.w0_minus_w1 - line.depth_slope <= 0.0;
-        // Two lists in each column, or one in each part of it.
+        // A column has two lists, or one in each of its parts.
         let sides = 2 * LANES / N;
         let mut sum = Sum::default();
         let mut column = (line.p0[along].floor() as i32).clamp(0, size_along - 1);
@@ -318,7 +317,7 @@ impl Raycaster {
         }
         let mut enter = self.at(line, t_in);
         loop {
-            // To the border of the tile, of the frame or to the end of the line.
+            // The batch ends at the border of the tile or frame, or at the end of the line.
             let num = columns.num_in_tile(column, size_along);
             let t_out = lesser(columns.t(column, num - 1), 1.0);
             let leave = self.at(line, t_out);
@@ -326,9 +325,9 @@ impl Raycaster {
             if !options.skips_empty_space
                 || self.is_occupied(column, rows, [enter.0, leave.0], along, size_across)
             {
-                let mut stretch = Stretch::<N>::new(self, line, &columns, column, (t_in, t_out), across);
+                let mut stretch = ColumnSpans::<N>::new(self, line, &columns, column, (t_in, t_out), across);
                 stretch.prefer_nearer(sum.transmittance());
-                // The lists that may have a segment there.
+                // The lists that may hold a segment on the line.
                 let mut num_met = 0;
                 let mut met = [Met::default(); 2 * LANES];
                 for i in 0..stretch.num {
@@ -343,7 +342,7 @@ impl Raycaster {
                         num_met += usize::from(is_met);
                     }
                 }
-                // Without a branch between them the look-ups wait for memory together.
+                // Without branches in between, the look-ups wait for memory together.
                 let mut found = [Found::default(); 2 * LANES];
                 for (met, found) in met[..num_met].iter().zip(&mut found) {
                     let list = met.list as usize;
@@ -399,8 +398,8 @@ impl Raycaster {
         Over { c: sum.color.truncate(), transmittance: sum.transmittance() }
     }
 
-    /// Whether a stretch of the line, inside of one column of tiles, may meet a segment: `rows` are its ends across,
-    /// as the rows of the first of the two lists it runs between, `depths` those in depth.
+    /// Whether a stretch of the line within one column of tiles may meet a segment. `rows` are its ends across, as
+    /// rows of the first list, and `depths` its ends in depth.
     #[inline(always)]
     fn is_occupied(
         &self,
@@ -420,14 +419,14 @@ impl Raycaster {
         occupied & cell_bits(first_cell, cell_of_depth(greater(depths[0], depths[1]))) != 0
     }
 
-    /// The first and the last tile, across the way, of the lists that a stretch of a line runs between.
+    /// The first and the last tile, across the line, of the lists that a stretch runs between.
     #[inline(always)]
     pub(super) fn tiles_across(&self, rows: [f32; 2], size_across: i32) -> [i32; 2] {
         let tile_of = |row: f32, side: i32| (row.max(0.0) as i32 + side).min(size_across - 1) / TILE as i32;
         [tile_of(lesser(rows[0], rows[1]), 0), tile_of(greater(rows[0], rows[1]), 1)]
     }
 
-    /// The index of the first tile of a column of tiles, and the step from one to the next.
+    /// The index of the first tile in a column of tiles, and the stride to the next.
     #[inline(always)]
     pub(super) fn tiles_along(&self, column: i32, along: usize) -> (i32, i32) {
         let tiles_x = self.empty_space.tiles[0] as i32;
@@ -435,7 +434,7 @@ impl Raycaster {
         if along == 0 { (tile_column, tiles_x) } else { (tile_column * tiles_x, 1) }
     }
 
-    /// The segments of a list; a row outside of the frame is the one at its border.
+    /// The segments of a list; rows outside the frame are clamped to its border.
     pub(super) fn list(&self, column: i32, row: i32, along: usize) -> &[Medium] {
         let row = row.clamp(0, self.size[1 - along] - 1);
         let (x, y) = if along == 0 { (column, row) } else { (row, column) };
@@ -443,9 +442,9 @@ impl Raycaster {
         &self.media[self.offsets[list] as usize..self.offsets[list + 1] as usize]
     }
 
-    /// Depth in units and world distance from the start of the line.
+    /// Depth in units and world distance, relative to the start of the line.
     #[inline(always)]
-    pub(super) fn at(&self, line: &Line, t: f32) -> (f32, f32) {
+    pub(super) fn at(&self, line: &PixelSpan, t: f32) -> (f32, f32) {
         let r = 1.0 / (line.w1 + t * line.w0_minus_w1);
         (
             ((line.depth_over_w * r + line.depth_slope * t) - self.near) * self.units_per_depth,
@@ -453,8 +452,8 @@ impl Raycaster {
         )
     }
 
-    /// The first segment of a list that ends behind a depth. Looked for in all of a list's backs, which is faster than
-    /// from where the list before was left (Gupta 2022, algorithm 1).
+    /// The first segment of a list whose back is behind a depth. A search over all backs is faster than one from the
+    /// previous list's position (Gupta 2022, algorithm 1).
     #[inline(always)]
     fn first_behind<const K: usize>(&self, list: usize, depth: u16) -> usize {
         let start = self.offsets[list] as usize;
@@ -462,7 +461,7 @@ impl Raycaster {
             let media = &self.media[start..self.offsets[list + 1] as usize];
             return start + media.partition_point(|medium| (medium.depth >> 16) as u16 <= depth);
         }
-        // A search without branches: K is a power of two, and all of a row is in one line of the cache.
+        // This search has no branches: K is a power of two, and a row lies in one cache line.
         let backs = &self.backs.as_chunks::<K>().0[list];
         let mut num = 0;
         let mut half = K / 2;
@@ -474,26 +473,26 @@ impl Raycaster {
     }
 }
 
-/// The picture of a layered frame from a camera. Premultiplied linear. `bounds` is the box of the volume. For several
-/// views of one frame take a [`Raycaster`].
+/// The picture of a layered frame from a camera, premultiplied linear. `bounds` is the box of the volume. For several
+/// views of one frame use a [`Raycaster`].
 pub fn raycast(frame: &LayeredFrame, bounds: &Aabb, camera: &Camera) -> Picture {
     Raycaster::new(frame, bounds).picture(camera, &CastOptions::default())
 }
 
-/// Lengths of the rows of `backs`; frames of longer lists, made for measurements, have none.
+/// Lengths of the rows of `backs`. Frames with longer lists, which only measurements make, have none.
 const ROW_8: usize = 8;
 const ROW_16: usize = 16;
 const ROW_32: usize = 32;
-/// Columns that are worked on at a time.
+/// Columns in one batch.
 const LANES: usize = TILE as usize;
-/// Side of the blocks of pixels that are cast one after the other.
+/// Side of a block of pixels that one thread casts.
 const BLOCK_SIDE: usize = 16;
-/// Depth units that a segment may reach out of what was marched: half of one by rounding, and as many as the thinnest
-/// segment has where a ray only touches.
+/// Depth units that a segment may reach beyond the marched volume: half of one by rounding, and the thickness of the
+/// thinnest segment where a ray only touches.
 pub const MARGIN_UNITS: f32 = 6.0;
-/// A list with less weight than this is left out: a quarter of one step of 1/255.
+/// The least weight of a list that is composited: a quarter of one step of 1/255.
 const MIN_NEARNESS: f32 = 1e-3;
-/// A row must win by so many pixels: where the eye has not moved and no line moves, rounding must not choose.
+/// Pixels by which rows must win over columns, so that rounding does not choose where the eye has not moved.
 pub(super) const AXIS_BIAS: f32 = 1e-2;
 
 #[cfg(test)]

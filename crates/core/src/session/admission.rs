@@ -1,13 +1,13 @@
-//! Who is let in: one place per token, bound to the first client that uses it.
+//! Admits viewers: each token has one place, bound to the first client that uses it.
 //!
-//! A token of a link is good for one viewer. The first client that shows it binds the place to its own secret (the
-//! *instance*), and gets a ticket that takes the token's place. Every later admission rotates the ticket. The token
-//! before the newest stays good for the same instance only, because the welcome that carried the newer one may have
-//! been lost with the connection; for anyone else it is used up.
+//! A token of a link admits one viewer. The first client that shows it binds the place to its own secret, the
+//! *instance*. It gets a ticket that replaces the token, and every later admission rotates the ticket. The token
+//! before the newest still admits the same instance, because the connection may break before the welcome with the
+//! newer one arrives. Nobody else can use it.
 
 use crate::wire::{PROTOCOL_VERSION, Refusal, Token};
 
-/// Number of a viewer: the same for all connections of one.
+/// Number of a viewer, the same for all of its connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ViewerId(pub u32);
 
@@ -19,7 +19,7 @@ pub struct Admission {
 
 #[derive(Debug)]
 struct ViewerPlace {
-    /// As handed out in a link: remembered only to tell its second user what happened.
+    /// The token in the link, kept only to tell its second user what happened.
     link: Token,
     current: Token,
     bound: Option<Bound>,
@@ -32,7 +32,7 @@ struct Bound {
 }
 
 impl Admission {
-    /// Adds a place for one viewer with this token; `None` if there are [`MAX_PLACES`] already.
+    /// Adds a place for one viewer with this token; `None` if there are already [`MAX_PLACES`].
     pub fn add(&mut self, token: Token) -> Option<ViewerId> {
         if self.places.len() >= MAX_PLACES {
             return None;
@@ -41,11 +41,11 @@ impl Admission {
         Some(ViewerId(self.places.len() as u32 - 1))
     }
 
-    /// Decides on a hello. `ticket` must be fresh random bytes; on success it has become the viewer's token. Whom `is_full` says
-    /// there is no room for beside others keeps the token as it is.
+    /// Decides on a hello. `ticket` must be fresh random bytes; on success it becomes the viewer's token. A viewer
+    /// for whom `is_full` finds no room keeps its token.
     ///
     /// # Errors
-    /// What the client shall be told.
+    /// What to tell the client.
     pub fn admit(
         &mut self,
         protocol: u32,
@@ -58,7 +58,7 @@ impl Admission {
             return Err(Refusal::Version { server: PROTOCOL_VERSION, client: protocol });
         }
         let (mut found, mut used) = (None, false);
-        // Every place is looked at in full, so that the time tells nothing.
+        // Comparing every place in full keeps the time constant.
         for (i, place) in self.places.iter().enumerate() {
             let current = place.current.matches(token);
             let link = place.link.matches(token);
@@ -83,13 +83,13 @@ impl Admission {
         Ok(viewer)
     }
 
-    /// Places whose token is used.
+    /// Number of places whose token is used.
     pub fn num_used(&self) -> usize {
         self.places.iter().filter(|place| place.bound.is_some()).count()
     }
 }
 
-/// Most places a server has in its life.
+/// Most places that a server can have.
 pub const MAX_PLACES: usize = 10_000;
 
 #[cfg(test)]

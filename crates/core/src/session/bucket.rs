@@ -1,6 +1,6 @@
-//! A token bucket: a peer may do something so many times a second, with a burst of a second's worth.
+//! A token bucket: it allows a number of actions per second, in bursts of up to a second's worth.
 
-/// Counts in millionths, so that a microsecond adds a whole number.
+/// Levels are in millionths, so that each microsecond adds a whole number.
 #[derive(Clone, Debug)]
 pub(super) struct Bucket {
     per_second: u64,
@@ -14,9 +14,9 @@ impl Bucket {
         Self { per_second, millionths: per_second * 1_000_000, last_micros: now_micros }
     }
 
-    /// Whether it may be done now; if so, it counts as done.
+    /// Returns whether an action is allowed now, and counts it.
     pub(super) fn take(&mut self, now_micros: u64) -> bool {
-        // A second fills the bucket, so longer waits need not be multiplied out.
+        // A second fills the bucket; the clamp keeps longer waits from overflowing.
         let waited = now_micros.saturating_sub(self.last_micros).min(1_000_000);
         self.last_micros = self.last_micros.max(now_micros);
         self.millionths = (self.millionths + waited * self.per_second).min(self.per_second * 1_000_000);

@@ -1,15 +1,14 @@
-//! The chunks of frames on their way: what the server sends and gives up, and what the client decodes.
+//! The chunks of frames in flight: which ones the server sends or gives up, and which ones the client decodes.
 //!
-//! Each chunk comes on a stream of its own; see [`crate::codec`]. A frame is a *base*, which can be shown alone, and
-//! *refinements*. If every superseded chunk were dropped, a link slower than the offer would deliver nothing: each frame
-//! would be cancelled just before it is through. So the server
-//! - drops a base only when a *newer base is known to be complete* at the client;
-//! - drops refinements the moment a newer base is handed over.
+//! Each chunk has its own stream; see [`crate::codec`]. A frame has a *base*, which can be shown alone, and
+//! *refinements*. On a slow link, dropping every superseded chunk would deliver nothing: a newer frame would cancel
+//! each one just before its end. So the server
+//! - drops a base only when the client is known to have a newer complete base;
+//! - drops refinements as soon as it starts to send a newer base.
 //!
-//! The client has at most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] in reassembly; a newer one pushes the oldest
-//! out. A frame whose base is complete ends the older ones. What is handed out for decoding never goes back to an older
-//! frame. The exception are frames that others may be predicted from, and that were overtaken by one that is not. A frame
-//! that is predicted from another waits for it.
+//! The client assembles at most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] in total; a newer frame evicts
+//! the oldest. A frame with a complete base ends the older ones. Decoding never returns to an older frame, except to
+//! one that other frames may be predicted from. A predicted frame waits for its reference.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -18,67 +17,67 @@ use crate::codec::MAX_CHUNKS;
 use crate::codec::blocks::MAX_REFERENCES;
 use crate::ids::{ChunkIndex, FrameId, PoseId};
 
-/// Where a chunk belongs, as its own header says.
+/// The place of a chunk, from its own header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ChunkPlace {
     /// The frame.
     pub frame: FrameId,
     /// The pose that the frame answers.
     pub pose: PoseId,
-    /// Position in the frame.
+    /// Position of the chunk in the frame.
     pub index: ChunkIndex,
-    /// Chunks of the frame, 1 to [`MAX_CHUNKS`].
+    /// Number of chunks in the frame, 1 to [`MAX_CHUNKS`].
     pub num_chunks: u16,
-    /// How many of them, from the first, are the base.
+    /// Number of leading chunks that form the base.
     pub num_base_chunks: u16,
-    /// Whether other frames can be predicted from it, and the frame that it is predicted from itself.
+    /// How the frame takes part in prediction; `None` if no frame is predicted from it.
     pub prediction: Option<Prediction>,
 }
 
 /// How a frame takes part in prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Prediction {
-    /// The frame that must be decoded before.
+    /// The frame that must be decoded first.
     pub reference: Option<FrameId>,
 }
 
-/// Why a chunk cannot be used.
+/// The reason why a chunk cannot be used.
 #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ChunkError {
     /// The numbers in its header contradict each other.
     #[error("frame {}: chunk {} of {}, {} of them base, expected at most {MAX_CHUNKS}", .0.frame, .0.index, .0.num_chunks, .0.num_base_chunks)]
     Place(ChunkPlace),
-    /// Its header contradicts that of a chunk before.
+    /// Its header contradicts that of an earlier chunk.
     #[error("frame {0}: chunks disagree about the frame")]
     Disagree(FrameId),
-    /// The chunk is there already.
+    /// The chunk has already arrived.
     #[error("frame {0}: chunk {1} arrived twice")]
     Twice(FrameId, ChunkIndex),
-    /// The frame is longer than any can be.
+    /// The frame exceeds [`MAX_FRAME_BYTES`].
     #[error("frame {0}: more than {MAX_FRAME_BYTES} bytes")]
     TooLong(FrameId),
 }
 
-/// Chunks that shall be decoded now.
+/// Chunks to decode now.
 #[derive(Debug)]
 pub struct DecodeJob {
-    /// The connection they came on; see [`ChunksClient::handle_connected`].
+    /// Their connection; see [`ChunksClient::handle_connected`].
     pub connection: u32,
     /// The frame.
     pub frame: FrameId,
-    /// Whether this job begins the frame; otherwise its chunks are added to those of the job before.
+    /// Whether this job begins the frame. Otherwise its chunks extend the previous job's result.
     pub is_first: bool,
-    /// Whether no chunk is missing after this job.
+    /// Whether the frame is complete after this job.
     pub is_last: bool,
     /// The chunks, in any order.
     pub chunks: Vec<Vec<u8>>,
 }
 
-/// State of one viewer; it outlives connections.
+/// The client's half for one viewer; it outlives connections.
 ///
-/// Call `handle_connected` for each new connection, `handle_pose` when a pose is set, `handle_chunk` for each whole
-/// chunk; then `poll_decode` until it is `None`, and `handle_decoded` or `handle_broken` after each job. `now` must
-/// not run backwards.
+/// Call `handle_connected` for each new connection, `handle_pose` for each new pose and `handle_chunk` for each
+/// complete chunk. Then call `poll_decode` until it returns `None`, and `handle_decoded` or `handle_broken` after
+/// each job. `now` must not run backwards.
 #[derive(Debug, Default)]
 pub struct ChunksClient {
     poses: VecDeque<(PoseId, u64)>,
@@ -86,18 +85,18 @@ pub struct ChunksClient {
     newest_base: Option<FrameId>,
     /// The last frames of this connection that others can be predicted from.
     references: VecDeque<FrameId>,
-    /// One that is being decoded, and will be another.
+    /// A future reference that is being decoded.
     coming: Option<FrameId>,
-    /// Whether the newest base is of such a frame.
+    /// Whether the newest base belongs to a frame that others can be predicted from.
     is_predicting: bool,
-    /// One whose refinements are not waited for any more.
+    /// A frame whose refinements are no longer expected.
     given_up: Option<FrameId>,
     newest_decoded: Option<Life>,
     ledger: Ledger,
     decoded_at: VecDeque<u64>,
-    /// Time to decode a list, ns, of late.
+    /// Recent time to decode a list, ns.
     decode_nanos_per_list: f64,
-    /// Whether frames have been completing before the base of the next was there.
+    /// Whether recent frames were complete before the next base arrived.
     refinements_keep_up: bool,
 }
 
@@ -112,7 +111,7 @@ struct Assembling {
 }
 
 impl Assembling {
-    /// Whether all is there to decode it now.
+    /// Whether everything needed to decode it is there.
     fn is_ready(&self, references: &VecDeque<FrameId>) -> bool {
         let named = self.place.prediction.and_then(|p| p.reference);
         self.has_base() && named.is_none_or(|r| references.contains(&r))
@@ -129,7 +128,7 @@ impl Assembling {
 }
 
 impl ChunksClient {
-    /// A new connection is up. Frame numbers start again; what was not decoded is gone.
+    /// A new connection is up. Frame numbers start again, and undecoded chunks are lost.
     pub fn handle_connected(&mut self) {
         self.ledger.handle_connected();
         self.assembling.clear();
@@ -145,7 +144,7 @@ impl ChunksClient {
         self.ledger.connection()
     }
 
-    /// A pose was set. The same once more is ignored.
+    /// Notes a new pose. A repeated pose is ignored.
     pub fn handle_pose(&mut self, now_micros: u64, pose: PoseId) {
         if self.poses.back().is_some_and(|(newest, _)| *newest == pose) {
             return;
@@ -156,10 +155,10 @@ impl ChunksClient {
         self.poses.push_back((pose, now_micros));
     }
 
-    /// Whether a chunk of this frame can still be of use; `is_predicting` if others can be predicted from the frame.
+    /// Whether a chunk of this frame can still be useful; `is_predicting` if others can be predicted from the frame.
     pub fn wants(&self, frame: FrameId, is_predicting: bool) -> bool {
         let is_new = self.newest_base.is_none_or(|newest| frame >= newest);
-        // Those that follow may name it, though the newest has overtaken it.
+        // Later frames may refer to it although the newest has overtaken it.
         let is_late = is_predicting
             && !self.is_predicting
             && self.references.iter().chain(&self.coming).all(|decoded| frame > *decoded);
@@ -168,7 +167,8 @@ impl ChunksClient {
                 || self.assembling.keys().next().is_some_and(|o| frame >= *o))
     }
 
-    /// A whole chunk has arrived; its first byte did at `first_byte_micros`. Late chunks are dropped in silence.
+    /// A complete chunk has arrived; `first_byte_micros` is the arrival of its first byte. Late chunks are dropped
+    /// silently.
     ///
     /// # Errors
     /// If the chunk contradicts itself or others. The connection can go on.
@@ -192,7 +192,7 @@ impl ChunksClient {
         if !self.assembling.contains_key(&frame) {
             match self.ledger.get(frame).map(|life| life.at(Stage::Whole).is_some()) {
                 Some(true) => return Err(ChunkError::Twice(frame, index)),
-                // What had come of it was dropped for a newer frame, and does not come again: it can never be whole.
+                // Its earlier chunks were evicted and are not sent again, so it can never be complete.
                 Some(false) => return Ok(()),
                 None => {}
             }
@@ -235,7 +235,7 @@ impl ChunksClient {
         Ok(())
     }
 
-    /// Whether a frame that others can be predicted from, older than `frame`, can still be decoded when all of it is there.
+    /// Whether an older frame that others can be predicted from can still be decoded once it is complete.
     fn is_reference_coming(&self, frame: FrameId) -> bool {
         if self.coming.is_some_and(|coming| coming < frame) {
             return true;
@@ -250,8 +250,8 @@ impl ChunksClient {
         !coming.is_empty()
     }
 
-    /// Ends the frames before the newest one that can be decoded. One that is not predicted from waits for those that are:
-    /// the frames after it may name them.
+    /// Ends the frames before the newest decodable one. A frame that predicts nothing waits for older references,
+    /// because later frames may refer to them.
     fn choose(&mut self) {
         let can_be_next = |(frame, a): &(&FrameId, &Assembling)| {
             a.is_ready(&self.references)
@@ -279,11 +279,11 @@ impl ChunksClient {
         }
     }
 
-    /// What to decode next: the newest frame when all of it is there, or its base before.
+    /// Returns the next job: the newest frame if it is complete, or else its base.
     ///
-    /// A base without its refinements lacks matter that a turned camera sees. So as long as refinements keep up, the
-    /// picture before, which is complete, is better for the moment that they still need: a base is held back until
-    /// it is followed by a newer one or a quarter of a second has passed.
+    /// A base without refinements lacks matter that a turned camera sees. While refinements keep up, the previous
+    /// complete picture is better for a moment. So a base is held back until a newer one follows it, or for a quarter
+    /// of a second.
     pub fn poll_decode(&mut self, now_micros: u64) -> Option<DecodeJob> {
         self.poll_newest(now_micros).or_else(|| self.poll_late(now_micros))
     }
@@ -308,13 +308,13 @@ impl ChunksClient {
         Some(DecodeJob { connection: self.connection(), frame, is_first, is_last, chunks })
     }
 
-    /// A frame that others may be predicted from, and that the newest one has overtaken.
+    /// Returns a job for a reference that the newest frame has overtaken.
     fn poll_late(&mut self, now_micros: u64) -> Option<DecodeJob> {
         let newest = self.newest_base?;
         if self.is_predicting || self.coming.is_some() {
             return None;
         }
-        // A picture whose refinements are still to come is finished first, unless a newer one has come.
+        // The current picture's refinements come first, unless a newer frame has arrived.
         let is_finished = self.assembling.get(&newest).is_none_or(|a| {
             a.is_decoding && self.assembling.last_key_value().is_some_and(|(last, _)| *last > newest)
         });
@@ -324,7 +324,7 @@ impl ChunksClient {
         let is_ready = |a: &Assembling| a.place.prediction.is_some() && a.is_ready(&self.references);
         let frame = self.assembling.range(..newest).find(|(_, a)| is_ready(a)).map(|(frame, _)| *frame)?;
         let late = self.assembling.remove(&frame)?;
-        // Its refinements would come after another frame's chunks.
+        // Its refinements would arrive after another frame's chunks.
         if self.assembling.remove(&newest).is_some() {
             self.given_up = Some(newest);
         }
@@ -339,7 +339,7 @@ impl ChunksClient {
         })
     }
 
-    /// When [`ChunksClient::poll_decode`] must be asked again though nothing has arrived.
+    /// The time at which to call [`ChunksClient::poll_decode`] again even if nothing arrives.
     pub fn hold_until(&self) -> Option<u64> {
         let frame = self.newest_base?;
         let is_waiting = self.assembling.get(&frame).is_some_and(|a| !a.is_decoding && !a.has_all());
@@ -348,8 +348,8 @@ impl ChunksClient {
         holds.then_some(received + HOLD_MICROS)
     }
 
-    /// A job is decoded. Its life so far, if the picture may be shown: it is of this connection and not older than the one
-    /// before.
+    /// A job is decoded. Returns the frame's life if the picture may be shown: it belongs to this connection and is
+    /// not older than the previous one.
     pub fn handle_decoded(
         &mut self,
         now_micros: u64,
@@ -385,7 +385,7 @@ impl ChunksClient {
         self.newest_decoded
     }
 
-    /// A job could not be decoded: the frame is given up, and counts for nothing.
+    /// A job could not be decoded. The frame is given up.
     pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
         if connection == self.connection() {
             self.ledger.give_up(frame);
@@ -395,12 +395,12 @@ impl ChunksClient {
                 self.newest_base =
                     self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
             }
-            // Others may have waited for it.
+            // Other frames may have waited for it.
             self.choose();
         }
     }
 
-    /// Decoding a job of `num_lists` lists took so long.
+    /// Notes the time to decode `num_lists` lists.
     pub fn handle_decode_time(&mut self, micros: u64, num_lists: usize) {
         let nanos = micros as f64 * 1e3 / num_lists.max(1) as f64;
         let before = self.decode_nanos_per_list;
@@ -408,28 +408,28 @@ impl ChunksClient {
             if before == 0.0 { nanos } else { before + DECODE_GAIN * (nanos - before) };
     }
 
-    /// What decoding takes of late, ns a list, for the next pose datagram; 0: it is not known.
+    /// Recent decoding time for the next pose datagram, ns per list; 0 if unknown.
     pub fn decode_nanos_per_list(&self) -> u16 {
         self.decode_nanos_per_list as u16
     }
 
-    /// A frame was on the screen.
+    /// A frame is on the screen.
     pub fn handle_shown(&mut self, now_micros: u64, frame: FrameId) {
         self.ledger.stamp(now_micros, frame, Stage::Shown);
     }
 
-    /// The newest frame whose base is complete, for the next pose datagram; where frames are predicted from each other,
-    /// the newest that is decoded.
+    /// The newest frame whose base is complete, for the next pose datagram. With prediction, the newest decoded
+    /// frame.
     pub fn newest_complete(&self) -> Option<FrameId> {
         if self.is_predicting { self.references.back().copied() } else { self.newest_base }
     }
 
-    /// Frames decoded in the last second.
+    /// Number of frames decoded in the last second.
     pub fn frames_per_second(&self, now_micros: u64) -> u32 {
         self.decoded_at.iter().filter(|&&t| t + 1_000_000 > now_micros).count() as u32
     }
 
-    /// The last frames' lives.
+    /// The lives of recent frames.
     pub fn ledger(&self) -> &Ledger {
         &self.ledger
     }
@@ -444,10 +444,10 @@ impl ChunksClient {
     }
 }
 
-/// The server's half: which chunks are still worth their bytes.
+/// The server's half: which chunks are still worth sending.
 ///
-/// Call `handle_base_handed` before the base of a frame is written, `handle_base_delivered` when all of it is acknowledged
-/// and `handle_report` for each pose datagram. Ask `is_superseded` after any of these.
+/// Call `handle_base_handed` before a base is written, `handle_base_delivered` when all of it is acknowledged, and
+/// `handle_report` for each pose datagram. Check `is_superseded` after any of these.
 #[derive(Clone, Debug, Default)]
 pub struct ChunksServer {
     handed: FrameId,
@@ -461,12 +461,12 @@ impl ChunksServer {
         self.handed = self.handed.max(frame);
     }
 
-    /// The client has all of a frame's base. A client that claims frames it was never sent gains nothing.
+    /// The client has a whole base. A client that claims frames it never got gains nothing.
     pub fn handle_base_delivered(&mut self, frame: FrameId) {
         self.complete = self.complete.max(frame.min(self.handed));
     }
 
-    /// A pose datagram names the newest complete frame; `is_newest` unless it was overtaken on its way.
+    /// A pose datagram names the newest complete frame; `is_newest` unless a newer datagram has overtaken it.
     pub fn handle_report(&mut self, newest_complete: FrameId, is_newest: bool) {
         self.handle_base_delivered(newest_complete);
         if is_newest {
@@ -474,13 +474,13 @@ impl ChunksServer {
         }
     }
 
-    /// Whether a chunk is not worth its bytes any more.
+    /// Whether a chunk is no longer worth sending.
     pub fn is_superseded(&self, frame: FrameId, is_base: bool) -> bool {
         if is_base { self.complete > frame } else { self.handed > frame }
     }
 
-    /// The frame that the client's newest pose named as its newest; 0 for none. Where frames are predicted from each
-    /// other, the client has decoded it.
+    /// The newest frame according to the client's newest pose; 0 for none. With prediction, the client has decoded
+    /// it.
     pub fn reported(&self) -> FrameId {
         self.reported
     }
@@ -491,19 +491,19 @@ impl ChunksServer {
     }
 }
 
-/// What a chunk is to the frames beside its own.
+/// The role of a chunk in relation to other frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rank {
-    /// Later frames may be predicted from it: those wait at the client until it is there.
+    /// Later frames may be predicted from it and wait for it at the client.
     Predicting,
-    /// It is a picture by itself, or the base of one.
+    /// It is a whole picture or its base.
     Base,
-    /// It makes a picture finer.
+    /// It refines a picture.
     Refinement,
 }
 
-/// Priority of a chunk's stream: what others may be predicted from before any base, that before any refinement. Of the first older
-/// frames come first, of the others newer ones; within a frame it goes by index. The control stream has [`CONTROL_PRIORITY`].
+/// Priority of a chunk's stream: references before bases, and bases before refinements. Older references come first;
+/// otherwise newer frames do. Within a frame the index decides. The control stream has [`CONTROL_PRIORITY`].
 ///
 /// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that the bands never meet.
 pub fn priority(frame: FrameId, index: ChunkIndex, rank: Rank) -> i32 {
@@ -513,34 +513,33 @@ pub fn priority(frame: FrameId, index: ChunkIndex, rank: Rank) -> i32 {
         Rank::Base => (1, newer_first),
         Rank::Refinement => (0, newer_first),
     };
-    // The last of them is the control stream's.
+    // The control stream has the top value.
     band * BAND + (frame << 4) + 14 - i32::from(index.0.min(14))
 }
 
-/// Frames in reassembly at the same time: as many as a server may send of which each is predicted from the one before,
-/// while a lost packet of the first is sent again: at 60 a second those of half a second.
+/// Most frames in reassembly: half a second of predicted frames at 60 Hz, while a lost packet of the first is sent
+/// again.
 pub const MAX_ASSEMBLING: usize = 32;
-/// Bytes of their chunks.
+/// Most bytes of chunks in reassembly.
 pub const MAX_ASSEMBLING_BYTES: usize = 256 << 20;
-/// Bytes of one frame's chunks: half of the largest picture with full lists, unpacked.
+/// Most bytes in one frame's chunks: half of the largest picture with full lists, unpacked.
 pub const MAX_FRAME_BYTES: usize = 192 << 20;
-/// Longest time that a base is held back for its refinements: about what the congestion window needs to pace out the
-/// second half of a frame at a round trip of 300 ms. Other lengths were not tried; none is held at all once
-/// refinements fall behind.
+/// Longest time to hold back a base for its refinements. In about this time the congestion window paces out the
+/// second half of a frame, at a round trip of 300 ms.
 const HOLD_MICROS: u64 = 250_000;
-/// Weight of the newest time to decode.
+/// Weight of the newest decoding time in the mean.
 const DECODE_GAIN: f64 = 0.25;
 /// Poses whose time is remembered: four seconds' worth, longer than any round trip.
 const MAX_POSES: usize = 512;
-/// Times that the frame rate is counted from; also the highest rate that is shown.
+/// Number of times that give the frame rate, and so the highest displayed rate.
 const MAX_RATE_SAMPLES: usize = 512;
-/// Below every chunk: a picture to keep waits for what is looked at.
+/// A screenshot goes after every chunk.
 pub const SCREENSHOT_PRIORITY: i32 = -1;
-/// Above every chunk.
+/// Control messages go before every chunk.
 pub const CONTROL_PRIORITY: i32 = i32::MAX;
-/// Frame numbers that priorities tell apart.
+/// Frame numbers that priorities distinguish.
 const FRAMES: u32 = 0x01ff_ffff;
-/// Priorities of a rank.
+/// Number of priorities per rank.
 const BAND: i32 = 1 << 29;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The client's halves of all subjects. Each looks at every message, and takes what is its own.
+//! The client's halves of all subjects. Each inspects every message and takes its own.
 
 use super::link::LinkClient;
 use super::look::LookClient;
@@ -9,18 +9,18 @@ use super::selection::SelectionClient;
 use crate::ids::LookVersion;
 use crate::wire::{ClientMessage, Refusal, ServerMessage, Welcome};
 
-/// What a viewer says to its server and hears from it. It outlives connections.
+/// The conversation as the client sees it. It outlives connections.
 ///
-/// Call `handle_welcome` for each connection, `handle_message` for each message after it and `handle_lost` at its end. Send
-/// what `poll_message` and [`PoseClient::poll_datagram`] return, and ask again at `due`. Times are µs on the client's
-/// clock, which must not run backwards.
+/// Call `handle_welcome` for each connection, `handle_message` for each later message, and `handle_lost` at the end.
+/// Send what `poll_message` and [`PoseClient::poll_datagram`] return, and poll again at `due`. Times are µs on the
+/// client's clock, which must not run backwards.
 #[derive(Debug, Default)]
 pub struct ClientSession {
-    /// Where frames are wanted from.
+    /// The camera that frames are for.
     pub pose: PoseClient,
-    /// What they look like.
+    /// The look of the frames.
     pub look: LookClient,
-    /// Which part of the file they show.
+    /// The shown part of the file.
     pub selection: SelectionClient,
     /// The value at a point.
     pub probe: ProbeClient,
@@ -31,12 +31,12 @@ pub struct ClientSession {
     is_up: bool,
 }
 
-/// Why the server's messages are not read any more.
+/// The reason why no more messages of the server are read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// The server sends this client away.
+    /// The server refuses or dismisses this client.
     Refused(Refusal),
-    /// The server did not follow the protocol.
+    /// The server broke the protocol.
     Broken(&'static str),
 }
 
@@ -61,7 +61,7 @@ impl ClientSession {
     /// A message has arrived after the welcome.
     ///
     /// # Errors
-    /// If the connection is over because of it.
+    /// If the message ends the connection.
     pub fn handle_message(&mut self, now_micros: u64, message: ServerMessage) -> Result<(), Ended> {
         match message {
             ServerMessage::Refused(refusal) => return Err(Ended::Refused(refusal)),
@@ -76,14 +76,13 @@ impl ClientSession {
         Ok(())
     }
 
-    /// Whether a frame of a connection and a version of the look is of the volume that is described, and not of the one
-    /// before.
+    /// Whether a frame of this connection and look version shows the described volume and not an earlier one.
     pub fn is_of_volume(&self, connection: u32, version: LookVersion) -> bool {
         let since = self.link.description().map_or(LookVersion(0), |welcome| welcome.look_version);
         connection == self.link.connection() && version >= since
     }
 
-    /// The next message to the server; none without a connection.
+    /// The next message to the server; `None` without a connection.
     pub fn poll_message(&mut self, now_micros: u64) -> Option<ClientMessage> {
         if !self.is_up {
             return None;
@@ -91,13 +90,13 @@ impl ClientSession {
         if let Some(message) = self.look.poll_message(now_micros).or_else(|| self.selection.poll_message()) {
             return Some(message);
         }
-        // A picture is made under the look that the server has, so a look that waits goes first.
+        // The server renders a screenshot with its current look, so a pending look goes first.
         let is_ready = !self.look.is_waiting();
         let shot = if is_ready { self.screenshot.poll_message(now_micros) } else { None };
         shot.or_else(|| self.probe.poll_message(now_micros)).or_else(|| self.link.poll_message(now_micros))
     }
 
-    /// When to poll messages again though nothing has happened, µs.
+    /// When to poll messages again if nothing happens, µs.
     pub fn due(&self) -> Option<u64> {
         let screenshot = self.screenshot.due().filter(|_| !self.look.is_waiting());
         let dues = [self.look.due(), screenshot, self.probe.due(), self.link.due()];

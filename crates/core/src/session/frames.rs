@@ -1,8 +1,7 @@
-//! Which frames the server makes for one viewer: which pose is answered next, how each frame is coded, what is given up
-//! when the camera moves on, and what a resting camera gets on top.
+//! Which frames the server makes for one viewer: the next pose, the coding, and what is given up or refined.
 //!
-//! A frame names its pose and the version of its look (see [`crate::layer::FrameHeader`]). No pose is answered twice with
-//! one look. At rest the same frame goes out again, finer.
+//! A frame names its pose and its look version (see [`crate::layer::FrameHeader`]). No pose is answered twice with
+//! the same look. At rest the server sends the same frame again, with a finer coding.
 
 use super::look::LookServer;
 use super::rate::{CodingControl, CodingMode, CodingPlan, LinkState};
@@ -13,65 +12,65 @@ use crate::layer::{FrameHeader, max_lists};
 use crate::space::Aabb;
 use crate::wire::PoseRequest;
 
-/// What a frame is made for.
+/// The purpose of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Asked {
     /// The pose.
     pub request: PoseRequest,
     /// The header of the frame.
     pub header: FrameHeader,
-    /// When the pose was taken up, µs.
+    /// When work on the pose began, µs.
     pub at_micros: u64,
-    /// Whether the same pose was answered before, with another look or shade.
+    /// Whether the same pose was already answered with another look or shade.
     pub is_again: bool,
 }
 
 /// How a frame is sent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sending {
-    /// What it was made for.
+    /// The frame's purpose.
     pub asked: Asked,
-    /// How it is coded.
+    /// Its coding.
     pub coding: Coding,
-    /// Whether the same frame was sent before, less fine.
+    /// Whether a coarser version of the same frame went before.
     pub is_finer: bool,
-    /// Whether the viewer has the exact picture of it already, with another margin.
+    /// Whether the viewer already has the exact picture with another margin.
     pub is_margin: bool,
 }
 
 impl Sending {
-    /// Whether it is one of a moving camera's, whose next ones are like it.
+    /// Whether it belongs to a moving camera, so that the next frames are similar.
     pub fn is_usual(&self) -> bool {
         !self.is_finer && !self.is_margin
     }
 }
 
-/// Decides about the frames of one viewer.
+/// Decides which frames one viewer gets.
 ///
-/// Call `begin` for a pose that is not `is_answered`. When the frame is there, `handle_generated` and `choose_coding`; when
-/// it is coded, `handle_encoded`; when the network has it, `handle_sent`. Then `poll_finer` says whether it goes out again.
-/// Tell `handle_pose` of each new pose. Times are µs.
+/// Call `begin` for a pose that is not `is_answered`. Then call `handle_generated` and `choose_coding`,
+/// `handle_encoded` when it is coded, and `handle_sent` when the network has it. After that, `poll_finer` says
+/// whether it goes out again. Call `handle_pose` for each new pose. Times are µs.
 #[derive(Debug)]
 pub struct FramesServer {
     coding: CodingControl,
     mode: CodingMode,
     newest: FrameId,
-    /// When the newest frame was begun.
+    /// The start of the newest frame.
     begun_at: Option<u64>,
-    /// Whether no newer pose has come since.
+    /// Whether no newer pose has arrived since.
     rests: bool,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
     /// The newest frame that the network has, unless it is being sent again.
     sent: Option<Sending>,
-    /// Whether the frame before was given up, so that this one is not.
+    /// Whether the previous frame was given up, so that this one is not.
     has_given_up: bool,
-    /// Whether the renderer was lost on the frame before.
+    /// Whether the renderer was lost during the previous frame.
     has_failed: bool,
 }
 
 impl FramesServer {
-    /// No frame has been made.
+    /// Starts without any frame.
     pub fn new(plan: CodingPlan) -> Self {
         Self {
             coding: CodingControl::new(plan),
@@ -91,7 +90,7 @@ impl FramesServer {
         self.newest
     }
 
-    /// Whether a frame was begun for this pose and look.
+    /// Whether a frame for this pose and look has begun.
     pub fn is_answered(&self, pose: PoseId, version: LookVersion) -> bool {
         self.answered == Some((pose, version))
     }
@@ -105,11 +104,11 @@ impl FramesServer {
         bounds: &Aabb,
     ) -> Asked {
         self.newest = self.newest.next();
-        // What was said of the camera's movement then has been taken.
+        // The turn that was reported for the camera's movement has been used.
         let is_again = self.answered.is_some_and(|(pose, _)| pose == request.id);
         self.answered = Some((request.id, look.version()));
         self.rests = true;
-        // While the camera moves, frames follow each other so.
+        // This is the time between frames of a moving camera.
         let since = self.begun_at.replace(now_micros).map(|at| now_micros.saturating_sub(at));
         if let Some(interval) = since.filter(|interval| *interval < LONG_REST_MICROS) {
             self.coding.handle_interval(interval);
@@ -126,50 +125,51 @@ impl FramesServer {
         Asked { request: *request, header, at_micros: now_micros, is_again }
     }
 
-    /// A newer pose has come. Returns whether the frame that is being `generated` is given up for it.
+    /// A newer pose has arrived. Returns whether the `generated` frame is given up for it.
     ///
-    /// A frame for a camera that has rested is larger than those of a moving one, and none of them can be made before it is
-    /// done. Never two in a row: a viewer that is slow to ask would get no frame at all.
+    /// A frame for a resting camera is larger and blocks the frames of a moving one. Two frames in a row are never
+    /// given up: a viewer with a low refresh rate would get none.
     pub fn handle_pose(&mut self, now_micros: u64, newest: &PoseRequest, generated: Option<&Asked>) -> bool {
         let has_rested = std::mem::take(&mut self.rests) && !self.has_given_up;
         generated.filter(|_| has_rested).is_some_and(|asked| {
-            // Smaller frames are asked for while something changes, if only the look.
+            // While anything changes, even only the look, the viewer requests smaller frames.
             let is_smaller = newest.intrinsics.num_pixels() < asked.request.intrinsics.num_pixels();
             let is_outdated = newest.pose != asked.request.pose || is_smaller;
             is_outdated && now_micros >= asked.at_micros + LONG_REST_MICROS
         })
     }
 
-    /// A frame was generated in so many µs.
+    /// Notes the time to generate a frame, µs.
     pub fn handle_generated(&mut self, micros: u64) {
         (self.has_given_up, self.has_failed) = (false, false);
         self.coding.handle_generated(micros);
     }
 
-    /// A frame was given up while it was generated: the newest pose is to be answered.
+    /// A frame was given up during generation. The newest pose still needs an answer.
     pub fn handle_given_up(&mut self) {
         (self.has_given_up, self.answered) = (true, None);
     }
 
-    /// A frame could not be generated; `is_lost` if another renderer has taken the place of a lost one. Then the pose is
-    /// answered once more.
+    /// A frame could not be generated; `is_lost` if another renderer replaces a lost one. Then the pose is tried once
+    /// more.
     pub fn handle_failed(&mut self, is_lost: bool) {
         if is_lost && !std::mem::replace(&mut self.has_failed, true) {
             self.answered = None;
         }
     }
 
-    /// The newest pose is to be answered again.
+    /// The newest pose needs another answer.
     pub fn handle_unanswered(&mut self) {
         self.answered = None;
     }
 
-    /// Another volume is shown: nothing that was sent can be of use.
+    /// Another volume is shown, so no earlier frame is useful.
     pub fn handle_volume(&mut self) {
         (self.answered, self.sent) = (None, None);
     }
 
-    /// How a frame of this mode is sent over the link as it is now; `has_reference` if there is one to predict it from.
+    /// Chooses the coding of a frame in this mode for the current link; `has_reference` if it can be predicted from
+    /// another.
     pub fn choose_coding(
         &mut self,
         now_micros: u64,
@@ -188,9 +188,9 @@ impl FramesServer {
         Sending { asked, coding: coding.for_mode(mode), is_finer: false, is_margin }
     }
 
-    /// A frame was coded.
+    /// A frame is coded.
     pub fn handle_encoded(&mut self, sending: &Sending, is_predicted: bool, bytes: usize, micros: u64) {
-        // What a frame takes that is predicted from itself says nothing of others.
+        // What a frame predicted from itself takes says nothing about others.
         if !sending.is_finer || matches!(sending.coding, Coding::Exact(_)) {
             let num_lists = sending.asked.header.camera.intrinsics.num_pixels();
             self.coding.handle_encoded(&sending.coding, is_predicted, num_lists, bytes, micros);
@@ -202,13 +202,13 @@ impl FramesServer {
         self.sent = Some(sending);
     }
 
-    /// When `poll_finer` is to be asked, if no frame is in the works, µs.
+    /// When to call `poll_finer` if no frame is in progress, µs.
     pub fn finer_due(&self, look: &LookServer) -> Option<u64> {
         let sent = self.sent.as_ref()?;
         self.finer(sent, look).map(|_| sent.asked.at_micros + REST_MICROS)
     }
 
-    /// The frame of a resting camera that is sent again now, with a new number and a finer coding.
+    /// Returns the frame to send again for a resting camera, with a new number and a finer coding.
     pub fn poll_finer(&mut self, now_micros: u64, look: &LookServer) -> Option<Sending> {
         self.finer_due(look).filter(|due| *due <= now_micros)?;
         let sent = self.sent.take()?;
@@ -218,7 +218,7 @@ impl FramesServer {
         Some(Sending { asked: Asked { header, ..sent.asked }, coding, is_finer: true, ..sent })
     }
 
-    /// Whether what only makes a rest finer is no longer worth its time, now that there is this pose and look.
+    /// Whether a refinement at rest is no longer worth its time, given this pose and look.
     pub fn is_outdated(sending: &Sending, newest: &PoseRequest, version: LookVersion) -> bool {
         let Asked { request, header, .. } = &sending.asked;
         let is_same = request.pose == newest.pose && is_same_picture(&request.intrinsics, &newest.intrinsics);
@@ -226,10 +226,10 @@ impl FramesServer {
         !sending.is_usual() && !is_wanted
     }
 
-    /// How a frame that was sent is sent again if the camera rests where it is.
+    /// The finer coding of a frame that was sent, if the camera rests.
     fn finer(&self, sent: &Sending, look: &LookServer) -> Option<Coding> {
         let header = &sent.asked.header;
-        // A draft is about to be made anew.
+        // A draft is about to be replaced.
         let is_newest = !look.is_draft()
             && self.is_answered(header.pose, look.version())
             && header.look == look.version();
@@ -237,7 +237,7 @@ impl FramesServer {
         is_newest.then(|| self.coding.finer(num_lists, &sent.coding)).flatten()
     }
 
-    /// Whether the viewer has, or will have, the exact picture of this frame: the frame has another margin only.
+    /// Whether the viewer has, or will have, the exact picture of this frame, differing only in its margin.
     fn shows_exactly(&self, header: &FrameHeader) -> bool {
         let is_exact = self.sent.as_ref().is_some_and(|sent| {
             let of_sent = &sent.asked.header;
@@ -260,15 +260,14 @@ pub fn bounded(request: Intrinsics, k: u8) -> Intrinsics {
     Intrinsics { width: shrink(request.width), height: shrink(request.height), ..request }
 }
 
-/// Whether frames of two sizes hold the same lists, but for a margin around them.
+/// Whether frames of two sizes differ only in their margins.
 fn is_same_picture(a: &Intrinsics, b: &Intrinsics) -> bool {
     a.margin_around(b).is_some() || b.margin_around(a).is_some()
 }
 
-/// A camera that no newer pose has come of for so long rests: three refreshes at 30 Hz.
+/// The camera rests when no newer pose arrives for this time: three refreshes at 30 Hz.
 const REST_MICROS: u64 = 100_000;
-/// And one that none has come of for so long rests even where the viewer refreshes four times a second only: what it waits
-/// for is given up when it moves.
+/// After this time a camera rests even at four refreshes a second. Its frame is given up when it moves.
 const LONG_REST_MICROS: u64 = 250_000;
 
 #[cfg(test)]

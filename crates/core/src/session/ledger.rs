@@ -1,38 +1,38 @@
 //! The ledger: when each frame reached each stage of its life, and which frames were given up.
 //!
-//! Server and client each keep one, on their own clocks; the number of the frame ties the two. Stamps of one are never
-//! subtracted from the other's but within one process, where both have one clock ([`Life::joined`]).
+//! Server and client each keep a ledger on their own clock; the frame number connects the two. Their stamps are never
+//! mixed, except within one process, where both use one clock ([`Life::joined`]).
 
 use std::collections::VecDeque;
 
 use crate::ids::{FrameId, PoseId};
 
-/// A stage of a frame's life, in the order in which frames reach them.
+/// A stage of a frame's life, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
-    /// The client has set the pose that the frame answers.
+    /// The client set the pose that the frame answers.
     Asked,
-    /// The server has begun to generate it.
+    /// The server began to generate it.
     Begun,
-    /// It is generated.
+    /// The server has generated it.
     Generated,
-    /// The coder has begun with it.
+    /// The coder began with it.
     CodingBegun,
-    /// It is coded.
+    /// The coder has finished it.
     Coded,
-    /// Its first byte is with the network.
+    /// The network has its first byte.
     FirstByteSent,
-    /// The last byte of its base is.
+    /// The network has the last byte of its base.
     LastByteSent,
     /// Its first byte has arrived.
     FirstByteReceived,
-    /// Its base has.
+    /// Its base has arrived.
     Received,
-    /// The decoder has begun with it.
+    /// The decoder began with it.
     DecodingBegun,
     /// Its base is decoded.
     Decoded,
-    /// It was on the screen for the first time.
+    /// It appeared on the screen for the first time.
     Shown,
     /// Its last chunk has arrived.
     Whole,
@@ -41,7 +41,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// Those that every frame goes through, in order.
+    /// The stages that every frame passes, in order.
     pub const ALL: [Self; 12] = [
         Self::Asked,
         Self::Begun,
@@ -58,7 +58,7 @@ impl Stage {
     ];
     const COUNT: usize = Self::WholeDecoded as usize + 1;
 
-    /// What people call it.
+    /// The name that people see.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Asked => "asked",
@@ -88,9 +88,9 @@ pub struct Life {
     pub frame: FrameId,
     /// The pose it answers.
     pub pose: PoseId,
-    /// Bytes of its chunks that were sent, or have arrived.
+    /// Bytes of its chunks that were sent or have arrived.
     pub bytes: u64,
-    /// Whether it is not worked on any more, though it has not reached its end.
+    /// Whether work on it stopped before its end.
     pub is_given_up: bool,
     stamps: [Option<u64>; Stage::COUNT],
 }
@@ -106,20 +106,19 @@ impl Life {
         self.stamps[stage as usize]
     }
 
-    /// The same life with a stage that was reached.
+    /// The same life with one more stage.
     #[must_use]
     pub fn with(mut self, stage: Stage, now_micros: u64) -> Self {
         self.stamp(stage, now_micros);
         self
     }
 
-    /// The furthest of [`Stage::ALL`] that it has reached.
+    /// The last of [`Stage::ALL`] that it has reached.
     pub fn last_stage(&self) -> Option<Stage> {
         Stage::ALL.into_iter().rev().find(|stage| self.at(*stage).is_some())
     }
 
-    /// The whole life of which this is one side's part and `other` the other's, on one clock. A stage that both have keeps the
-    /// stamp of this side.
+    /// Joins this side's part of a life with the `other` side's, on one clock. This side's stamps win.
     #[must_use]
     pub fn joined(mut self, other: &Self) -> Self {
         for (own, others) in self.stamps.iter_mut().zip(other.stamps) {
@@ -130,14 +129,14 @@ impl Life {
         self
     }
 
-    /// The first stamp of a stage counts.
+    /// Sets a stage's stamp unless it is set.
     fn stamp(&mut self, stage: Stage, now_micros: u64) {
         self.stamps[stage as usize].get_or_insert(now_micros);
     }
 }
 
-/// The lives of the last frames. Call `handle_connected` for each connection, `open` for each frame, then `stamp` and `give_up`;
-/// those of frames that are unknown, or long ago, do nothing.
+/// The lives of recent frames. Call `handle_connected` for each connection, `open` for each frame, then `stamp` and
+/// `give_up`. Calls for unknown or forgotten frames do nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Ledger {
     connection: u32,
@@ -145,7 +144,7 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// Frame numbers start again.
+    /// A connection is up: frame numbers start again.
     pub fn handle_connected(&mut self) {
         self.connection += 1;
     }
@@ -155,7 +154,7 @@ impl Ledger {
         self.connection
     }
 
-    /// A frame's life begins, on this connection; the oldest is forgotten for it.
+    /// Begins a frame's life on this connection and forgets the oldest one.
     pub fn open(&mut self, life: Life) {
         if self.lives.len() == MAX_LIVES {
             self.lives.pop_front();
@@ -170,14 +169,14 @@ impl Ledger {
         }
     }
 
-    /// The frame is not worked on any more.
+    /// Work on the frame has stopped.
     pub fn give_up(&mut self, frame: FrameId) {
         if let Some(life) = self.get_mut(frame) {
             life.is_given_up = true;
         }
     }
 
-    /// So many more bytes of a frame.
+    /// Adds to the bytes of a frame.
     pub fn add_bytes(&mut self, frame: FrameId, bytes: u64) {
         if let Some(life) = self.get_mut(frame) {
             life.bytes += bytes;
@@ -204,7 +203,7 @@ impl Ledger {
     }
 }
 
-/// Lives that are kept: four seconds' worth at 60 frames a second.
+/// Number of lives that are kept: four seconds' worth at 60 frames a second.
 pub const MAX_LIVES: usize = 256;
 
 #[cfg(test)]

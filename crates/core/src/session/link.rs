@@ -1,11 +1,11 @@
-//! The connection itself: who is welcomed, what is said to the person, and how both sides fare.
+//! The connection itself: the greeting, notices, and how both sides fare.
 //!
-//! | message | says |
+//! | message | content |
 //! |---|---|
-//! | [`ClientMessage::Hello`], [`ServerMessage::Welcome`], [`ServerMessage::Refused`] | who wants in, and the answer; see [`super::admission`] |
-//! | [`ClientMessage::Stats`] | how the client fares, once a second at most |
-//! | [`ServerMessage::Stats`] | what the newest frame cost |
-//! | [`ServerMessage::Notice`] | one line for the person |
+//! | [`ClientMessage::Hello`], [`ServerMessage::Welcome`], [`ServerMessage::Refused`] | the request to join, and the answer; see [`super::admission`] |
+//! | [`ClientMessage::Stats`] | how the client fares, at most once a second |
+//! | [`ServerMessage::Stats`] | the cost of the newest frame |
+//! | [`ServerMessage::Notice`] | one line for the user |
 //! | [`ClientMessage::Bye`] | the client leaves |
 
 use std::collections::VecDeque;
@@ -44,27 +44,27 @@ impl LinkClient {
         self.connection
     }
 
-    /// What the server said when it let this client in last, with the volume that is shown now.
+    /// The last welcome, with the volume that is shown now.
     pub fn description(&self) -> Option<Arc<Welcome>> {
         self.description.clone()
     }
 
-    /// What the newest frame cost the server, as last heard.
+    /// The last known cost of a frame at the server.
     pub fn server_stats(&self) -> ServerStats {
         self.server_stats
     }
 
-    /// The last line that the server wanted shown, once.
+    /// Takes the last line that the server wants to show.
     pub fn take_notice(&mut self) -> Option<String> {
         self.notice.take()
     }
 
-    /// How this client fares, for the server.
+    /// Reports how this client fares.
     pub fn report(&mut self, stats: ClientStats) {
         self.report.offer(Some(stats));
     }
 
-    /// A connection is up. Returns whether the server has another file than the one before.
+    /// A connection is up. Returns whether the server now has another file.
     pub fn handle_welcome(&mut self, welcome: Welcome) -> bool {
         self.connection = self.connection.wrapping_add(1);
         let before = self.description.replace(Arc::new(welcome));
@@ -72,7 +72,7 @@ impl LinkClient {
         names.is_some_and(|(before, now)| before.volume.name != now.volume.name)
     }
 
-    /// A message has arrived. A line for the person replaces the one before.
+    /// A message has arrived. A new notice replaces the previous one.
     pub fn handle_message(&mut self, message: &ServerMessage) {
         match message {
             ServerMessage::Stats(stats) => self.server_stats = *stats,
@@ -98,8 +98,8 @@ impl LinkClient {
     }
 }
 
-/// How long a client waits before it tries to connect again, µs, `attempt` counting from 1: 0.25 s, doubled each time up to
-/// 5 s. It is up to a quarter shorter by `random`, 0 to 1, so that many clients do not come at once.
+/// Wait before connection attempt `attempt`, which counts from 1, µs. It is 0.25 s, doubled each time up to 5 s.
+/// `random`, 0 to 1, shortens it by up to a quarter, so that many clients do not come at once.
 pub fn retry_wait_micros(attempt: u32, random: f64) -> u64 {
     let whole = (FIRST_RETRY_MICROS << attempt.saturating_sub(1).min(8)).min(LONGEST_RETRY_MICROS);
     (whole as f64 * (1.0 - 0.25 * random)) as u64
@@ -114,19 +114,19 @@ pub struct LinkServer {
 }
 
 impl LinkServer {
-    /// For a viewer that was let in now.
+    /// Starts for a viewer that was admitted now.
     pub fn new(now_micros: u64) -> Self {
         let messages = Bucket::new(MAX_MESSAGES_PER_SECOND, now_micros);
         Self { messages, notices: VecDeque::new(), stats: None }
     }
 
-    /// Whether one more message may be handled now. If not, it has to wait, and those behind it in the stream. Many come at
-    /// once where the network has stood still, which is not their sender's fault.
+    /// Whether one more message may be handled now. Otherwise it and those behind it wait. After a network stall many
+    /// arrive at once, so this is no error.
     pub fn takes_message(&mut self, now_micros: u64) -> bool {
         self.messages.take(now_micros)
     }
 
-    /// One line for the person at the viewer.
+    /// One line for the user at the viewer.
     pub fn notice(&mut self, text: &str) {
         if self.notices.len() == MAX_NOTICES {
             self.notices.pop_front();
@@ -134,7 +134,7 @@ impl LinkServer {
         self.notices.push_back(one_line(text));
     }
 
-    /// What the newest frame cost.
+    /// The cost of the newest frame.
     pub fn report(&mut self, stats: ServerStats) {
         self.stats = Some(stats);
     }
@@ -148,13 +148,13 @@ impl LinkServer {
 
 /// Control messages handled per second.
 pub const MAX_MESSAGES_PER_SECOND: u32 = 100;
-/// After so long one more may be handled, µs.
+/// Wait until one more message may be handled, µs.
 pub const MESSAGE_WAIT_MICROS: u64 = 1_000_000 / MAX_MESSAGES_PER_SECOND as u64;
 const FIRST_RETRY_MICROS: u64 = 250_000;
 const LONGEST_RETRY_MICROS: u64 = 5_000_000;
 /// Reports go out at most once a second.
 const REPORT_MICROS: u64 = 1_000_000;
-/// Lines that wait for the network; the oldest goes first.
+/// Lines that wait for the network; the oldest is dropped first.
 const MAX_NOTICES: usize = 32;
 
 #[cfg(test)]

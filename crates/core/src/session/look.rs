@@ -1,11 +1,11 @@
 //! The look of the frames: a viewer chooses it, the server counts its versions, and each frame names its version.
 //!
-//! [`ClientMessage::SetLook`] has the look that the viewer wants. At most 30 go out a second, and the newest wins.
-//! [`ServerMessage::LookChanged`] tells the version of later frames, and whether they show a draft of its shade.
-//! [`ServerMessage::VolumeChanged`] tells the same for a new volume, which is never a draft.
+//! [`ClientMessage::SetLook`] carries the viewer's look. At most 30 go out a second, and the newest wins.
+//! [`ServerMessage::LookChanged`] announces the version of later frames, and whether they show a draft of its shade.
+//! [`ServerMessage::VolumeChanged`] does the same for a new volume, which is never a draft.
 //!
-//! A look with shade that is not worked out yet is a draft. When it has not changed for [`REST_MICROS`], the server works
-//! out the shade beside the frames, and tells the version anew.
+//! A look whose shade is not computed yet is a draft. When it has not changed for [`REST_MICROS`], the server
+//! computes the shade beside the frames and announces the version again.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -16,29 +16,29 @@ use crate::look::{Look, LookError};
 use crate::transfer::TransferFunction;
 use crate::wire::{ClientMessage, ServerMessage, VolumeChange, VolumeDescription};
 
-/// The client's half: which look the viewer wants, and which one the server has in force.
+/// The client's half: the look that the viewer wants, and the one in force at the server.
 ///
-/// Call `handle_welcome` for each connection, and `handle_changed` and `handle_volume_changed` for messages. Then send
-/// what `poll_message` returns, at `due` at the latest.
+/// Call `handle_welcome` for each connection and `handle_message` for each message. Then send what `poll_message`
+/// returns, and poll again at `due`.
 #[derive(Debug)]
 pub struct LookClient {
     in_force: Option<(LookVersion, Arc<Look>)>,
     is_draft: bool,
-    /// The look that this viewer wanted last. It is requested again over a new connection.
+    /// The viewer's own last look, requested again over a new connection.
     own: Option<Arc<Look>>,
     /// Set while the server has not confirmed `own`.
     unanswered: Option<Unanswered>,
     outbox: Pace<Arc<Look>>,
-    /// What the server has over this connection once it has read all that was sent.
+    /// The server's look once it has read everything that was sent.
     asked: Option<Arc<Look>>,
-    /// Looks of frames that may still be on their way, the newest last.
+    /// Looks of frames that may still be in flight, the newest last.
     known: VecDeque<(LookVersion, Arc<Look>)>,
 }
 
 /// A request without an answer.
 #[derive(Clone, Copy, Debug)]
 struct Unanswered {
-    /// The version in force when it was made.
+    /// The version in force at the request.
     since: Option<LookVersion>,
     at_micros: u64,
 }
@@ -58,7 +58,7 @@ impl Default for LookClient {
 }
 
 impl LookClient {
-    /// The viewer wants another look.
+    /// Sets the viewer's look.
     ///
     /// # Errors
     /// If the look is not valid. Then nothing changes.
@@ -75,7 +75,7 @@ impl LookClient {
         Ok(())
     }
 
-    /// The look that the viewer wants: its own as long as the server has not confirmed it, or else the one in force.
+    /// The viewer's look: its own until the server confirms it, then the one in force.
     pub fn chosen(&self) -> Option<Arc<Look>> {
         let own = self.own.as_ref().filter(|_| self.unanswered.is_some());
         own.or(self.in_force.as_ref().map(|(_, look)| look)).cloned()
@@ -86,17 +86,17 @@ impl LookClient {
         self.in_force.clone()
     }
 
-    /// Whether a look that the viewer wants is still to be sent.
+    /// Whether a look waits to be sent.
     pub fn is_waiting(&self) -> bool {
         self.outbox.waiting().is_some()
     }
 
-    /// Whether frames of that version show a draft of it, and final ones follow.
+    /// Whether frames of the version in force show a draft, so that final ones follow.
     pub fn is_draft(&self) -> bool {
         self.is_draft
     }
 
-    /// Whether a frame of this version has the look that the viewer wants.
+    /// Whether a frame of this version has the viewer's look.
     pub fn is_chosen(&self, version: LookVersion) -> bool {
         let Some((in_force, look)) = &self.in_force else { return self.unanswered.is_none() };
         *in_force == version && (self.unanswered.is_none() || self.own.as_ref() == Some(look))
@@ -107,8 +107,8 @@ impl LookClient {
         self.known.iter().find(|(known, _)| *known == version).map(|(_, look)| look.clone())
     }
 
-    /// A connection is up, on which the server begins with its own look. The viewer's look is requested again, unless the
-    /// server has another file now.
+    /// A connection is up; the server begins with its own look. The viewer's look is requested again, unless the
+    /// server now has another file.
     pub fn handle_welcome(&mut self, now_micros: u64, version: LookVersion, look: Look, is_other_file: bool) {
         self.put_in_force(version, look, false);
         let in_force = self.in_force.as_ref().map(|(_, look)| look.clone());
@@ -143,7 +143,7 @@ impl LookClient {
         }
     }
 
-    /// The server shows another volume. Its look counts from here on, unless one that the viewer wants is on its way.
+    /// The server shows another volume. Its look applies, unless the viewer's own look is on its way.
     pub fn handle_volume_changed(&mut self, version: LookVersion, look: Look) {
         let before = self.in_force.as_ref().map(|(_, look)| look.clone());
         let has_sent = self.outbox.waiting().is_none();
@@ -166,7 +166,7 @@ impl LookClient {
         Some(ClientMessage::SetLook(Arc::unwrap_or_clone(look)))
     }
 
-    /// When to poll again though nothing has arrived, µs.
+    /// When to poll again if nothing arrives, µs.
     pub fn due(&self) -> Option<u64> {
         let answer = self.unanswered.as_ref().map(|u| u.at_micros + PATIENCE_MICROS);
         let has_own = self.in_force.as_ref().map(|(_, look)| look) == self.own.as_ref();
@@ -183,8 +183,8 @@ impl LookClient {
         (self.in_force, self.is_draft) = (Some((version, look)), is_draft);
     }
 
-    /// Notes whether the server has confirmed the look. While an earlier request is on its way, the look before it may
-    /// come into force once more. So a version that was in force at the request answers it only after a while.
+    /// Checks whether the server has confirmed the look. While an earlier request is in flight, the previous look may
+    /// come into force again. So a version that was in force at the request counts as an answer only after a while.
     fn note_answer(&mut self, now_micros: u64) {
         let (Some(unanswered), Some((version, look))) = (self.unanswered, &self.in_force) else { return };
         let is_later = unanswered.since != Some(*version);
@@ -195,47 +195,47 @@ impl LookClient {
     }
 }
 
-/// The server's half: the look that this viewer's frames are made with, and its version.
+/// The server's half: the look of this viewer's frames, and its version.
 ///
-/// Take what the viewer wants by `poll_wanted`, and confirm it by `begin`. Work out the shade that `poll_refine` asks for,
-/// and drop that work when `is_refining` turns false. Tell `handle_generated` of each frame.
+/// Take the viewer's look with `poll_wanted`, and confirm it with `begin`. Compute the shade that `poll_refine`
+/// requests, and stop when `is_refining` turns false. Call `handle_generated` for each frame.
 #[derive(Debug)]
 pub struct LookServer {
     look: Arc<Look>,
-    /// The transfer function that suits the volume. The look has it unless somebody chose another.
+    /// The volume's own transfer function. The look uses it unless somebody chose another.
     usual: TransferFunction,
     version: LookVersion,
     shade: ShadeProgress,
     wanted: Option<Look>,
-    /// A new volume that is not told yet.
+    /// A new volume that is not announced yet.
     volume: Option<VolumeDescription>,
-    /// Whether the version is not told yet.
+    /// Whether the version is not announced yet.
     is_untold: bool,
 }
 
-/// How far the shade of the look is.
+/// The progress of the look's shade.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ShadeProgress {
     Whole,
-    /// A draft. All of it is worked out at this time, µs.
+    /// A draft. The full shade is due at this time, µs.
     Draft(u64),
-    /// A draft. All of it is being worked out.
+    /// A draft. The full shade is being computed.
     Refining,
-    /// A draft for good: it could not be worked out.
+    /// A permanent draft: the computation failed.
     Failed,
 }
 
-/// What becomes of a frame that was generated.
+/// The fate of a generated frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GeneratedLook {
-    /// The frame shows what its version promises.
+    /// The frame matches its version.
     Usable,
-    /// It shows a draft though its version is final: a new version was begun, and the pose must be answered again.
+    /// It shows a draft although its version is final. A new version has begun, and the pose needs another answer.
     Draft,
 }
 
 impl LookServer {
-    /// Begins with the look that the viewer was welcomed with.
+    /// Begins with the look in the viewer's welcome.
     pub fn new(version: LookVersion, look: Look) -> Self {
         let usual = look.transfer.clone();
         let (look, shade) = (Arc::new(look), ShadeProgress::Whole);
@@ -257,27 +257,27 @@ impl LookServer {
         self.shade != ShadeProgress::Whole
     }
 
-    /// A message has arrived: of several looks the newest is left.
+    /// A message has arrived. Only the newest look remains.
     pub fn handle_message(&mut self, message: &ClientMessage) {
         if let ClientMessage::SetLook(look) = message {
             self.wanted = Some(look.clone());
         }
     }
 
-    /// The look that the viewer wants. None is rendered that is out of date.
+    /// Takes the newest look that the viewer wants.
     pub fn poll_wanted(&mut self) -> Option<Look> {
         self.wanted.take()
     }
 
-    /// Frames from now on have this look; `is_whole` if all of its shade is there.
+    /// Later frames have this look; `is_whole` if all of its shade is there.
     pub fn begin(&mut self, now_micros: u64, look: Look, is_whole: bool) {
         self.look = Arc::new(look);
         self.begin_version(now_micros, is_whole);
     }
 
-    /// Frames from now on show another volume, whose own look is `suited`. `at_values` is this viewer's look with each
-    /// value coloured as before; it is given where values mean the same in both volumes. `is_whole` says whether all of
-    /// a look's shade is there.
+    /// Later frames show another volume, whose own look is `suited`. `at_values` is this viewer's look with the
+    /// colour of each value kept; it is given where values mean the same in both volumes. `is_whole` says whether all
+    /// of a look's shade is there.
     pub fn handle_volume(
         &mut self,
         now_micros: u64,
@@ -302,8 +302,8 @@ impl LookServer {
         self.begin_version(now_micros, is_whole(&self.look));
     }
 
-    /// The shade of the look, worked out as `poll_refine` asked, is there or has failed. Late news of an older version is
-    /// ignored. Returns a line for the person at the viewer if it has failed.
+    /// The shade that `poll_refine` requested is there or has failed. Results for an older version are ignored.
+    /// Returns a line for the user if it has failed.
     pub fn handle_refined(
         &mut self,
         now_micros: u64,
@@ -332,16 +332,16 @@ impl LookServer {
             return GeneratedLook::Usable;
         }
         if is_draft {
-            // Looks of other viewers have taken the place of its shade.
+            // Other viewers' looks have evicted its shade.
             self.begin_version(now_micros, false);
             return GeneratedLook::Draft;
         }
-        // Nothing of the shade had changed.
+        // The shade is the same as before.
         (self.shade, self.is_untold) = (ShadeProgress::Whole, true);
         GeneratedLook::Usable
     }
 
-    /// The look whose shade is to be worked out now, with its version.
+    /// Takes the look whose shade to compute now, with its version.
     pub fn poll_refine(&mut self, now_micros: u64) -> Option<(LookVersion, Arc<Look>)> {
         if !matches!(self.shade, ShadeProgress::Draft(at) if at <= now_micros) {
             return None;
@@ -350,12 +350,12 @@ impl LookServer {
         Some((self.version, self.look.clone()))
     }
 
-    /// Whether the shade of this version is still to be worked out.
+    /// Whether the shade of this version is still needed.
     pub fn is_refining(&self, version: LookVersion) -> bool {
         version == self.version && self.shade == ShadeProgress::Refining
     }
 
-    /// When to ask `poll_refine` again, µs.
+    /// When to call `poll_refine` again, µs.
     pub fn due(&self) -> Option<u64> {
         if let ShadeProgress::Draft(at) = self.shade { Some(at) } else { None }
     }
@@ -364,7 +364,7 @@ impl LookServer {
     pub fn poll_message(&mut self) -> Option<ServerMessage> {
         let look = |server: &Self| (*server.look).clone();
         if let Some(volume) = self.volume.take() {
-            // The change of volume tells the version, unless it is a draft.
+            // The volume change announces the version, unless it is a draft.
             self.is_untold = self.is_draft();
             let change = VolumeChange { volume, look_version: self.version, look: look(self) };
             return Some(ServerMessage::VolumeChanged(Box::new(change)));
@@ -385,13 +385,14 @@ impl LookServer {
     }
 }
 
-/// Looks go to the server at most so often: 30 times a second.
+/// Time between looks to the server: 30 a second.
 const PERIOD_MICROS: u64 = 33_334;
-/// After so long, a server that has the look need not confirm it: of several requests it may answer the last alone.
+/// After this time, the server need not confirm a look that it already has. It may answer only the last of several
+/// requests.
 const PATIENCE_MICROS: u64 = 2_000_000;
-/// Looks that are remembered: at 30 a second four seconds' worth.
+/// Number of looks that are remembered: four seconds' worth at 30 a second.
 const MAX_KNOWN: usize = 128;
-/// A look that has not changed for so long rests: dragging does not wait for shade that is out of date.
+/// A look rests when it has not changed for this time, so that dragging does not wait for outdated shade.
 pub const REST_MICROS: u64 = 150_000;
 
 #[cfg(test)]

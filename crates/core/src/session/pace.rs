@@ -1,6 +1,6 @@
-//! Lets the newest of many values through at a bounded rate. A value that comes too soon waits, and a newer one replaces it.
+//! Passes the newest of many values on at a bounded rate. A newer value replaces one that waits.
 
-/// See the module. Times are µs.
+/// Holds one value until it may go. Times are µs.
 #[derive(Debug)]
 pub struct Pace<T> {
     period_micros: u64,
@@ -10,17 +10,17 @@ pub struct Pace<T> {
 }
 
 impl<T> Pace<T> {
-    /// At most one value in `period_micros`.
+    /// Passes at most one value in `period_micros`.
     pub const fn new(period_micros: u64) -> Self {
         Self { period_micros, free_at: 0, waiting: None }
     }
 
-    /// Takes a value in place of the one that waits; none takes that one back.
+    /// Replaces the value that waits; `None` withdraws it.
     pub fn offer(&mut self, value: Option<T>) {
         self.waiting = value;
     }
 
-    /// The value that waits, if it may go now.
+    /// Takes the value that waits, if it may go now.
     pub fn poll(&mut self, now_micros: u64) -> Option<T> {
         if self.due()? > now_micros {
             return None;

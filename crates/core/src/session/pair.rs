@@ -1,8 +1,8 @@
-//! A viewer and a server that talk over a simulated link with delay, loss and reordering. The time is counted, so a test
-//! with the same seed goes the same way every time.
+//! A viewer and a server that talk over a simulated link with delay, loss and reordering. The clock is simulated too,
+//! so a test with the same seed always runs the same way.
 //!
-//! Messages arrive in their order: a lost one, and those behind it, come a round trip later. Datagrams that are lost never
-//! arrive, and may overtake each other. Each chunk arrives by itself.
+//! Messages arrive in order: a lost message and its successors arrive a round trip later. A lost datagram never
+//! arrives, and datagrams may overtake each other. Each chunk arrives by itself.
 
 use super::admission::ViewerId;
 use super::chunks::{ChunkPlace, ChunksClient};
@@ -17,7 +17,8 @@ use crate::volume::procedural::Builtin;
 use crate::wire::control::{decode, encode};
 use crate::wire::{ClientMessage, Part, PoseRequest, ServerMessage, Token, VolumeDescription, Welcome};
 
-/// See the module. The server answers questions, confirms looks, and makes a frame of one chunk for each new pose and look.
+/// A simulated pair. The server answers probes, confirms looks, and makes a frame of one chunk for each new pose and
+/// look.
 pub(crate) struct Pair {
     pub(crate) client: ClientSession,
     pub(crate) chunks: ChunksClient,
@@ -31,23 +32,23 @@ pub(crate) struct Pair {
     /// Poses that the server has polled.
     pub(crate) poses: Vec<PoseRequest>,
     pub(crate) num_datagrams_lost: usize,
-    /// Messages about points, and about loads, that the client has heard.
+    /// Number of probe answers and load messages at the client.
     pub(crate) num_answered: usize,
     pub(crate) num_loads_heard: usize,
-    /// Parts that the server was asked for.
+    /// Requested parts of the file.
     pub(crate) orders: Vec<Option<Part>>,
-    /// Pictures that it was asked for, and the look that it had in force.
+    /// Requested screenshots, and the look in force.
     pub(crate) shots: Vec<(ScreenshotId, String)>,
-    /// Frames that the client has shown, with the versions of their looks.
+    /// Frames that the client has shown, with their look versions.
     pub(crate) shown: Vec<(FrameId, LookVersion)>,
 }
 
-/// What is on its way, and when it arrives.
+/// Everything in flight, with its arrival time.
 struct Simulated {
     rtt_micros: u64,
     loss: f64,
     random: u64,
-    /// When the last message arrives, up and down.
+    /// Arrival of the last message, up and down.
     ordered: [u64; 2],
     up: Vec<(u64, Up)>,
     down: Vec<(u64, Down)>,
@@ -77,7 +78,7 @@ impl Simulated {
         self.random() < self.loss
     }
 
-    /// When something arrives that is sent until it does.
+    /// Arrival time of something that is sent until it arrives.
     fn arrival(&mut self, now: u64) -> u64 {
         let mut at = now + self.rtt_micros / 2;
         while self.is_lost() {
@@ -92,7 +93,7 @@ impl Simulated {
     }
 }
 
-/// Takes what has arrived, in the order of its arrival.
+/// Takes what has arrived, in order of arrival.
 fn arrived<T>(queue: &mut Vec<(u64, T)>, now: u64) -> Vec<T> {
     queue.sort_by_key(|(at, _)| *at);
     let num = queue.partition_point(|(at, _)| *at <= now);
@@ -100,7 +101,7 @@ fn arrived<T>(queue: &mut Vec<(u64, T)>, now: u64) -> Vec<T> {
 }
 
 impl Pair {
-    /// A client that has just said hello over a link with this round trip and share of lost packets.
+    /// A client that has just said hello over a link with this round trip and loss rate.
     pub(crate) fn new(rtt_micros: u64, loss: f64, seed: u64) -> Self {
         let random = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
         let link = Simulated { rtt_micros, loss, random, ordered: [0; 2], up: vec![], down: vec![] };
@@ -125,7 +126,7 @@ impl Pair {
         pair
     }
 
-    /// The connection breaks, with all that is on its way; the client says hello again.
+    /// The connection breaks and loses everything in flight; the client says hello again.
     pub(crate) fn connect(&mut self) {
         (self.link.up, self.link.down) = (vec![], vec![]);
         self.server = None;
@@ -189,7 +190,7 @@ impl Pair {
         }
     }
 
-    /// What the server's application does.
+    /// Acts as the server's application.
     fn serve(&mut self) {
         let Some(server) = &mut self.server else { return };
         if let Some(look) = server.look.poll_wanted() {
@@ -219,7 +220,7 @@ impl Pair {
         }
     }
 
-    /// What both sides have to say.
+    /// Sends what both sides have to say.
     fn leave(&mut self) {
         let now = self.now;
         while let Some(message) = self.client.poll_message(now) {
@@ -236,7 +237,7 @@ impl Pair {
             if self.link.is_lost() {
                 self.num_datagrams_lost += 1;
             } else {
-                // Up to half a round trip longer than others.
+                // Delays by up to half a round trip.
                 let jitter = self.link.random() * self.link.rtt_micros as f64 / 2.0;
                 let at = now + self.link.rtt_micros / 2 + jitter as u64;
                 self.link.up.push((at, Up::Datagram(request.encode().to_vec())));

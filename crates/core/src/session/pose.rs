@@ -1,23 +1,23 @@
 //! The pose that frames are made for: the viewer sends the predicted pose, and the server keeps the newest.
 //!
 //! The message is the datagram of [`crate::wire::PoseRequest`]. A lost datagram is not sent again: the newest pose is
-//! repeated ten times a second. With it go how the viewer fares with what it has received.
+//! repeated ten times a second. It also reports how the viewer copes with what it receives.
 
 use super::bucket::Bucket;
 use crate::camera::{Intrinsics, Pose};
 use crate::ids::{FrameId, PoseId};
 use crate::wire::{MAX_SHOWN_TURN_DEG, PoseError, PoseRequest};
 
-/// The client's half: numbers poses, and says when a datagram is due.
+/// The client's half: it numbers poses and says when a datagram is due.
 #[derive(Debug, Default)]
 pub struct PoseClient {
     newest: Option<PoseRequest>,
     shown_turn_deg: Option<u8>,
-    /// The pose of the last datagram of this connection, and when that was sent.
+    /// The pose of the last datagram on this connection, and when it went out.
     sent: Option<(PoseId, u64)>,
 }
 
-/// What a datagram says beside the pose.
+/// The report in a datagram, beside the pose.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReceiverReport {
     /// See [`PoseRequest::newest_complete`].
@@ -27,10 +27,10 @@ pub struct ReceiverReport {
 }
 
 impl PoseClient {
-    /// Frames are wanted from this pose. The same pose is no new one. Returns the number of the newest pose.
+    /// Requests frames from this pose, unless it is the newest already. Returns the number of the newest pose.
     ///
     /// # Errors
-    /// If the pose cannot be rendered. Then the one before stays the newest.
+    /// If the pose cannot be rendered. Then the previous one stays the newest.
     pub fn set(&mut self, now_micros: u64, pose: Pose, intrinsics: Intrinsics) -> Result<PoseId, PoseError> {
         let newest = self.newest.map_or(PoseId(0), |p| p.id);
         if self.newest.is_some_and(|p| p.pose == pose && p.intrinsics == intrinsics) {
@@ -46,7 +46,7 @@ impl PoseClient {
         Ok(request.id)
     }
 
-    /// How far frames are turned when they are seen, degrees; it goes with all datagrams from now on.
+    /// Sets the angle in degrees by which shown frames are turned. All later datagrams carry it.
     pub fn note_turn(&mut self, degrees: Option<f32>) {
         self.shown_turn_deg = degrees.map(|d| d.round().clamp(0.0, MAX_SHOWN_TURN_DEG.into()) as u8);
     }
@@ -61,7 +61,7 @@ impl PoseClient {
         self.newest.as_ref()
     }
 
-    /// A connection is up, over which nothing was sent.
+    /// A connection is up: nothing was sent over it.
     pub fn handle_welcome(&mut self) {
         self.sent = None;
     }
@@ -95,13 +95,13 @@ pub struct PoseServer {
 }
 
 impl PoseServer {
-    /// No pose has come yet.
+    /// Starts without a pose.
     pub fn new(now_micros: u64) -> Self {
         Self { newest: None, is_new: false, rate: Bucket::new(MAX_POSES_PER_SECOND, now_micros) }
     }
 
-    /// A datagram has arrived. Returns what it says, if it is within the rate, and whether its pose is the newest or the
-    /// one before it once more.
+    /// A datagram has arrived. Returns its content unless it exceeds the rate, and whether its pose is the newest or
+    /// repeats it.
     ///
     /// # Errors
     /// If it is not a pose; the connection can go on.
@@ -132,12 +132,12 @@ impl PoseServer {
     }
 }
 
-/// Pose datagrams read per second. Clients send at most 120; twice that leaves room for bunching.
+/// Pose datagrams read per second. Clients send at most 120; twice that allows bursts.
 pub const MAX_POSES_PER_SECOND: u32 = 240;
-/// Time between the datagrams of different poses: 120 a second.
+/// Time between datagrams of different poses: 120 a second.
 const INTERVAL_MICROS: u64 = 8_300;
-/// Time after which the newest pose is repeated. Then a lost one heals, frames are acknowledged, and no timer on the way
-/// grows sleepy.
+/// Time after which the newest pose is repeated. This replaces a lost one, acknowledges frames, and keeps timers
+/// along the way awake.
 const REPEAT_MICROS: u64 = 100_000;
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! The value at a point of the volume.
 //!
-//! | message | says |
+//! | message | content |
 //! |---|---|
 //! | [`ClientMessage::Probe`] | the point; at most 30 a second, the newest wins |
-//! | [`ServerMessage::Probed`] | the voxel there, or none |
+//! | [`ServerMessage::Probed`] | the voxel there, if any |
 
 use super::pace::Pace;
 use crate::ids::ProbeId;
@@ -27,8 +27,8 @@ impl Default for ProbeClient {
 }
 
 impl ProbeClient {
-    /// Asks for the value at a point of world space. A point that is not finite is ignored. Returns the number of the
-    /// newest question.
+    /// Asks for the value at a point in world space, unless it is not finite. Returns the number of the newest
+    /// question.
     pub fn ask(&mut self, point: [f32; 3]) -> ProbeId {
         if point.iter().all(|x| x.is_finite()) {
             self.newest = self.newest.next();
@@ -43,12 +43,12 @@ impl ProbeClient {
         self.answer
     }
 
-    /// A connection is up: a question without an answer is asked again.
+    /// A connection is up: an unanswered question is asked again.
     pub fn handle_welcome(&mut self) {
         self.outbox.offer(self.unanswered);
     }
 
-    /// A message has arrived. An answer of the volume before is of no use.
+    /// A message has arrived. A new volume makes the old answer useless.
     pub fn handle_message(&mut self, message: &ServerMessage) {
         match message {
             ServerMessage::Probed(answer) => self.handle_answer(*answer),
@@ -82,7 +82,7 @@ pub struct ProbeServer {
 }
 
 impl ProbeServer {
-    /// A message has arrived: of several questions the newest is left.
+    /// A message has arrived. Only the newest question remains.
     pub fn handle_message(&mut self, message: &ClientMessage) {
         if let ClientMessage::Probe(question) = message {
             self.asked = Some(*question);
@@ -94,7 +94,7 @@ impl ProbeServer {
         self.asked.is_some()
     }
 
-    /// Answers what was asked, from the volume that is shown.
+    /// Answers the question from the shown volume.
     pub fn answer(&mut self, volume: &Volume) {
         if let Some(question) = self.asked.take() {
             self.answer = Some(question.answer(volume));

@@ -1,7 +1,7 @@
-//! How each frame of a connection is coded: what is shown earliest and best over the link as it is.
+//! The coding of each frame of a connection: what appears earliest and best over the current link.
 //!
-//! While the camera moves, frames in blocks get the quality whose bytes the link carries in the time that a frame may
-//! take, at most the one asked for. When it rests, the same frame goes out again finer, and then exactly.
+//! While the camera moves, frames in blocks get the quality that the link can carry in a frame's time, up to a limit.
+//! At rest, the same frame goes out again finer, and then exactly.
 
 use super::round_trip::{LeastRtt, is_longer};
 use crate::codec::blocks::{self, RateControl};
@@ -14,13 +14,13 @@ pub enum CodingMode {
     Exact,
     /// Frames in blocks only.
     Blocks,
-    /// Blocks while the camera moves and exact frames where it rests, or where they are shown hardly later.
+    /// Blocks while the camera moves. Exact frames at rest, or where they are shown hardly later.
     #[default]
     Auto,
 }
 
 impl CodingMode {
-    /// As it is asked for.
+    /// Its name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Exact => "exact",
@@ -30,14 +30,14 @@ impl CodingMode {
     }
 }
 
-/// What was asked for.
+/// The requested coding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CodingPlan {
     /// The codings.
     pub mode: CodingMode,
     /// Best quality of frames in blocks while the camera moves, 0 to [`blocks::MAX_QUALITY`].
     pub quality: u8,
-    /// Most bytes a second; none: what the link carries.
+    /// Most bytes per second; `None` for what the link carries.
     pub bytes_per_second: Option<f64>,
 }
 
@@ -48,7 +48,7 @@ impl Default for CodingPlan {
 }
 
 impl CodingPlan {
-    /// Nothing but exact frames.
+    /// Uses exact frames only.
     pub const EXACT: Self =
         Self { mode: CodingMode::Exact, quality: DEFAULT_QUALITY, bytes_per_second: None };
 }
@@ -56,26 +56,26 @@ impl CodingPlan {
 /// What the transport knows of the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkState {
-    /// Bytes that may be on their way at the same time.
+    /// Bytes that may be in flight at the same time.
     pub window_bytes: u64,
-    /// Round-trip time now, smoothed, µs.
+    /// Current round-trip time, smoothed, µs.
     pub rtt_micros: u64,
-    /// The least there ever was, µs.
+    /// Least round-trip time so far, µs.
     pub least_rtt_micros: u64,
 }
 
 impl LinkState {
-    /// What passes in a second with this window.
+    /// Rate that this window allows.
     fn bytes_per_second(&self) -> f64 {
         self.window_bytes as f64 * 1e6 / self.rtt_micros.max(MIN_RTT_MICROS) as f64
     }
 
-    /// How long packets wait somewhere on the way, s.
+    /// Time that packets wait in queues, s.
     fn queue_seconds(&self) -> f64 {
         self.rtt_micros.saturating_sub(self.least_rtt_micros) as f64 / 1e6
     }
 
-    /// Whether packets wait somewhere on the way, so that the window is all that the link carries.
+    /// Whether packets queue, so that the window is all that the link carries.
     fn is_queueing(&self) -> bool {
         is_longer(self.rtt_micros, self.least_rtt_micros)
     }
@@ -83,26 +83,26 @@ impl LinkState {
 
 /// Decides how the frames of one connection are coded.
 ///
-/// For each frame: `handle_generated`, `handle_turned`, `handle_link`, then `next` (or `finer` for one that is sent again because the
-/// camera rests), and `handle_encoded` when that is done.
+/// For each frame call `handle_generated`, `handle_turned` and `handle_link`, then `next`, and `handle_encoded` at
+/// the end. For a frame that is sent again at rest, call `finer` in place of `next`.
 #[derive(Clone, Debug)]
 pub struct CodingControl {
     plan: CodingPlan,
     control: RateControl,
-    /// What the link carries, bytes a second, as far as it has shown; none: no queue was seen.
+    /// Proven rate of the link, bytes per second; `None` before the first queue.
     ceiling: Option<f64>,
     link: Option<LinkState>,
     least_rtt: LeastRtt,
-    /// When the link was looked at last, µs.
+    /// Time of the last link state, µs.
     looked_at_micros: u64,
     generate_micros: f64,
-    /// From frame to frame of a moving camera, µs.
+    /// Time between frames of a moving camera, µs.
     interval_micros: Mean,
-    /// How far frames of a moving camera are turned when they are seen, degrees; none: it is not known.
+    /// Angle by which frames of a moving camera are turned when shown, degrees; `None` if unknown.
     turned_deg: Option<f32>,
     /// Whether the next one is seen so.
     is_turned: bool,
-    /// Time to encode a list, µs, exactly and in blocks, and bytes of a list of an exact frame.
+    /// Time to encode a list exactly and in blocks, µs, and bytes per list of an exact frame.
     exact_micros: Mean,
     blocks_micros: Mean,
     exact_bytes: Mean,
@@ -111,7 +111,7 @@ pub struct CodingControl {
 }
 
 impl CodingControl {
-    /// Knows nothing of the link yet.
+    /// Starts without knowledge of the link.
     pub fn new(plan: CodingPlan) -> Self {
         Self {
             plan,
@@ -136,30 +136,30 @@ impl CodingControl {
         self.generate_micros = micros as f64;
     }
 
-    /// While the camera moves, frames are begun so many µs after each other.
+    /// Notes the time between frames of a moving camera, µs.
     pub fn handle_interval(&mut self, micros: u64) {
         self.interval_micros.add(micros as f64);
     }
 
-    /// The viewer shows frames turned by so many degrees; none: the next frame is not one of a moving camera, or that is not
-    /// known.
+    /// Notes the angle by which the viewer shows frames turned, degrees. `None` if the next frame is not one of a moving
+    /// camera, or if the angle is unknown.
     pub fn handle_turned(&mut self, degrees: Option<u8>) {
         self.is_turned = degrees.is_some();
         if let Some(now) = degrees {
-            // A view that was jumped to says no more than one that is far off.
+            // A jump to a distant view counts like the largest turn.
             let now = f32::from(now).min(f32::from(blocks::MAX_TURN_DEG) / MEANT);
             self.turned_deg = Some(now + TURN_KEPT * (self.turned_deg.unwrap_or(now) - now));
         }
     }
 
-    /// The link is like this now, on a clock that does not run backwards.
+    /// Notes the state of the link, on a clock that does not run backwards.
     pub fn handle_link(&mut self, now_micros: u64, link: LinkState) {
         let least_rtt_micros = self.least_rtt.handle(now_micros, link.rtt_micros, link.least_rtt_micros);
         let link = LinkState { least_rtt_micros, ..link };
         let since = (now_micros.saturating_sub(self.looked_at_micros) as f64).min(MAX_GROWTH_MICROS);
         (self.link, self.looked_at_micros) = (Some(link), now_micros);
-        // A full queue shows what the link carries. Later, the window may stand for the queue too, so it is believed only
-        // step by step.
+        // A full queue shows the link's rate. Later, the window may include the queue too, so the estimate follows it
+        // only step by step.
         self.ceiling = if link.is_queueing() {
             Some(link.bytes_per_second())
         } else {
@@ -167,7 +167,7 @@ impl CodingControl {
         };
     }
 
-    /// What the link is taken to carry, bytes a second: infinite as long as it is not known.
+    /// The assumed rate of the link, bytes per second: infinite until it is known.
     pub fn bytes_per_second(&self) -> f64 {
         let link = self.link.map_or(f64::INFINITY, |link| {
             // A window without a queue is not all that the link carries: it grows when it is filled.
@@ -183,11 +183,11 @@ impl CodingControl {
         link.min(self.plan.bytes_per_second.unwrap_or(f64::INFINITY))
     }
 
-    /// The coding of the next frame, of `num_lists` lists; `is_predicted` if there is a frame to predict it from.
+    /// The coding of the next frame, of `num_lists` lists; `is_predicted` if it can be predicted from another.
     pub fn next(&mut self, num_lists: usize, is_predicted: bool) -> Coding {
         let rate = self.bytes_per_second();
         let lists = num_lists as f64;
-        // Generating a frame and encoding the one before go on at the same time.
+        // Generation of a frame and encoding of the previous one overlap.
         let making = self.generate_micros.max(self.blocks_micros.get() * lists);
         let age = making + self.link.map_or(0.0, |link| link.least_rtt_micros as f64);
         // Where frames are made fast, a newer one is worth more than the bytes of one that takes its time.
@@ -209,7 +209,7 @@ impl CodingControl {
                 let (Some(bytes), true) = (bytes, self.exact_bytes.is_known()) else { return in_blocks };
                 let bytes = f64::from(bytes) / counted(num_lists);
                 let exact = self.exact_bytes.get() * lists;
-                // Bytes are what a link feels: that blocks took longer to encode, as the first ones do, makes up for none.
+                // Only bytes count for the link, so slower encoding of blocks, as in the first frames, is no bonus.
                 let longer = (self.exact_micros.get() - self.blocks_micros.get()).max(0.0);
                 let later = longer * lists + (exact - bytes) * 1e6 / rate;
                 let may_be_later = (EXACT_SHARE_OF_INTERVAL * interval).max(making * EXACT_SHARE_OF_MAKING);
@@ -256,13 +256,13 @@ impl CodingControl {
             }
             Coding::Blocks(settings) => {
                 self.blocks_micros.add(micros as f64 / lists);
-                // Where frames are generated fast, a newer one is worth more than a finer one that waits for its coding.
+                // Where generation is fast, a newer frame is worth more than a finer one that waits for its coding.
                 let in_time = CODING_MICROS.max(self.generate_micros);
                 let timely = f64::from(settings.quality)
                     - QUALITY_PER_OCTAVE * (micros.max(1) as f64 / in_time).log2();
                 let mut now = self.timely_quality + TIMELY_TAKEN * (timely - self.timely_quality);
                 if (micros as f64) < in_time {
-                    // It says nothing against the best.
+                    // The best quality stays possible.
                     now = now.max(self.timely_quality);
                 }
                 self.timely_quality = now.clamp(LEAST_TIMELY_QUALITY, blocks::MAX_QUALITY.into());
@@ -273,13 +273,13 @@ impl CodingControl {
     }
 }
 
-/// Bytes that the control counts for one of a frame: as those of a frame of [`COUNTED_LISTS`], since frames change their
-/// size with their margin and while the camera moves.
+/// Bytes that the control counts per byte of a frame: as if it had [`COUNTED_LISTS`] lists. The size of frames varies
+/// with the margin and with the camera's movement.
 fn counted(num_lists: usize) -> f64 {
     COUNTED_LISTS / num_lists.max(1) as f64
 }
 
-/// A mean that forgets.
+/// A moving mean.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean(Option<f64>);
 
@@ -301,54 +301,53 @@ impl Mean {
     }
 }
 
-/// Large, as the control counts in whole bytes.
+/// It is large because the control counts whole bytes.
 const COUNTED_LISTS: f64 = (1 << 20) as f64;
-/// The best quality if none is asked for: where the link carries it, a picture's fault is worth more than its bytes.
+/// The default for the best quality: where the link carries it, a picture's fault is worth more than its bytes.
 pub const DEFAULT_QUALITY: u8 = blocks::MAX_QUALITY;
-/// Frames get no worse than this, however narrow the link: below, bytes hardly fall any more.
+/// The worst quality on any link: below it, bytes hardly fall.
 pub const LEAST_QUALITY: u8 = 5;
 /// Quality between that of a moving camera and an exact frame.
 const FINE_QUALITY: u8 = 90;
-/// Time that a frame of a moving camera may take on the link: until the next one follows, at most a thirtieth of a second. Or, where
-/// frames take longer in the making, a part of the age that they are shown with anyway, by that and the way to and fro: the age grows
-/// by as much, and the picture has the more bytes (docs/BENCHMARKS.md).
+/// Time on the link for a frame of a moving camera: until the next one, at most a thirtieth of a second. Where frames
+/// are slow to make, it is a part of the age that making and travelling cause anyway. That age grows by as much, and
+/// the picture gets more bytes.
 const FRAME_MICROS: f64 = 1e6 / 30.0;
 const LEAST_FRAME_MICROS: f64 = 1e6 / 240.0;
 const SHARE_OF_AGE: f64 = 0.25;
-/// Time that a frame of a moving camera may take to be encoded, unless it takes longer to be generated: some 30 frames a
-/// second.
+/// Encoding time for a frame of a moving camera, unless generation takes longer: some 30 frames a second.
 const CODING_MICROS: f64 = 30_000.0;
-/// So much less quality takes half the time to encode.
+/// Loss of quality that halves the encoding time.
 const QUALITY_PER_OCTAVE: f64 = 40.0;
-/// Part of what a frame says of the quality that is encoded in time: first frames take longer.
+/// Weight of a frame in the estimate of timely quality: first frames take longer.
 const TIMELY_TAKEN: f64 = 0.3;
-/// No frame is made worse than this to be encoded in time: below, time hardly falls any more.
+/// The worst quality for the sake of encoding time: below it, time hardly falls.
 const LEAST_TIMELY_QUALITY: f64 = 40.0;
-/// An exact frame is worth so much delay: half the time to the next frame, or a part of the time in the making.
+/// Delay that an exact frame is worth: half the time to the next frame, or a part of the generation time.
 const EXACT_SHARE_OF_INTERVAL: f64 = 0.48;
 const EXACT_SHARE_OF_MAKING: f64 = 0.15;
-/// A wait for the exact frame so long is worth a finer one on the way.
+/// A wait for the exact frame that justifies a finer one in between, s.
 const LONG_SECONDS: f64 = 0.25;
-/// What a list of an exact frame takes as long as none was seen.
+/// Bytes per list of an exact frame before any measurement.
 const EXACT_BYTES_PER_LIST: f64 = 8.0;
-/// Frames are made to be seen at least so far turned: the camera moves, so none is seen from its own pose alone.
+/// The least turn that frames are made for: the camera moves, so none is seen only from its own pose.
 const LEAST_TURN_DEG: u8 = 1;
-/// Part of the turn that frames are made for: seen nearer than they are meant for they lose more than seen further, and a
-/// camera that stops sees them from near.
+/// Fraction of the measured turn that frames are made for. Frames lose more when seen from nearer than intended, and
+/// a camera that stops sees them from near.
 const MEANT: f32 = 0.5;
-/// Part of the turn before that stays, frame by frame.
+/// Fraction of the previous turn that each frame keeps.
 const TURN_KEPT: f32 = 0.75;
-/// Part of what the link carries that frames may fill.
+/// Fraction of the link's rate that frames may fill.
 const FILLING: f64 = 0.9;
-/// A queue on the way shall be gone after so long.
+/// Time in which to drain a queue, s.
 const DRAINED_IN_SECONDS: f64 = 0.5;
-/// Times the window that frames may fill when nothing queues: in one round trip more would not be noticed.
+/// Number of windows that frames may fill when nothing queues: within one round trip more would not be noticed.
 const OPENING: f64 = 2.0;
-/// Without a queue the link is taken to carry twice as much after so long, however many frames that were; and no more than
-/// twice as much from one frame to the next.
+/// Time in which the assumed rate doubles without a queue, µs, however many frames that are. From one frame to the
+/// next it at most doubles.
 const DOUBLED_IN_MICROS: f64 = 1e6;
 const MAX_GROWTH_MICROS: f64 = DOUBLED_IN_MICROS;
-/// Clocks and threads do not tell shorter round trips.
+/// Clocks and threads cannot resolve shorter round trips.
 const MIN_RTT_MICROS: u64 = 500;
 
 #[cfg(test)]

@@ -1,16 +1,18 @@
-//! What of a round trip is the way, and what is waiting.
+//! Separates the round trip of the path from waiting in queues.
 
-/// The least round trip of a link, until its way becomes longer for good. Taken for a queue for ever, what it takes longer would keep
-/// the window from being filled, and one that is not filled does not grow again after a loss. So where round trips stay longer, the link
-/// is drained for a moment: what is left then is no queue of ours.
+/// The least round trip of a link, until the path itself becomes longer.
+///
+/// If a longer path counted as a queue, it would keep the window from being filled, and an unfilled window does not
+/// recover from a loss. So when round trips stay longer, the link is drained for a moment. The delay that remains is
+/// no queue of ours.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LeastRtt {
     least_micros: Option<u64>,
-    /// Since when all have been longer, µs.
+    /// Since when all round trips are longer, µs.
     longer_since_micros: Option<u64>,
-    /// Until when the link is drained, and the least since it is, µs.
+    /// The end of draining and the least round trip since its start, µs.
     draining: Option<(u64, u64)>,
-    /// How long they may be longer before the link is drained.
+    /// How long round trips may be longer before the link is drained.
     patience_micros: u64,
     seen_at_micros: u64,
 }
@@ -28,21 +30,21 @@ impl Default for LeastRtt {
 }
 
 impl LeastRtt {
-    /// Whether no more than a part of what the link carries is to be sent.
+    /// Whether to send only a part of what the link carries.
     pub(super) fn is_draining(&self) -> bool {
         self.draining.is_some()
     }
 
-    /// Takes a round trip into account, and returns the least, µs. `ever_micros` is the least there ever was.
+    /// Takes a round trip into account and returns the least, µs. `ever_micros` is the least so far.
     pub(super) fn handle(&mut self, now_micros: u64, rtt_micros: u64, ever_micros: u64) -> u64 {
-        // Nothing of ours queues during a pause.
+        // A pause leaves no queue of ours.
         let is_paused = now_micros.saturating_sub(self.seen_at_micros) > PATIENCE_MICROS;
         self.seen_at_micros = now_micros;
         let least = self.least_micros.unwrap_or(ever_micros).min(rtt_micros);
         self.least_micros = Some(least);
         if is_paused || !is_longer(rtt_micros, least) {
             if self.draining.take().is_some() {
-                // It was ours, and will be again.
+                // The queue was ours, and will be again.
                 self.patience_micros = (self.patience_micros * 2).min(MAX_PATIENCE_MICROS);
             }
             self.longer_since_micros = None;
@@ -66,17 +68,18 @@ impl LeastRtt {
     }
 }
 
-/// Whether a round trip is longer than the least by a queue, and not by jitter.
+/// Whether a round trip is longer than the least by more than jitter.
 pub(super) fn is_longer(rtt_micros: u64, least_micros: u64) -> bool {
     rtt_micros > least_micros + (least_micros / 4).max(QUEUE_MICROS)
 }
 
-/// Waits beyond the least round trip that are a queue and not jitter.
+/// Delay beyond the least round trip that means a queue and not jitter.
 const QUEUE_MICROS: u64 = 15_000;
-/// Round trips may be longer for so long before the link is drained to tell why; at most for so long, where it was our queue before.
+/// How long round trips may be longer before the link is drained. It doubles up to the second value where the queue
+/// was ours.
 const PATIENCE_MICROS: u64 = 5_000_000;
 const MAX_PATIENCE_MICROS: u64 = 60_000_000;
-/// A third of what the link carries drains a queue of a fifth of a second in so long.
+/// In this time, a third of the link's rate drains a queue of a fifth of a second.
 const DRAINING_MICROS: u64 = 300_000;
 
 #[cfg(test)]

@@ -1,39 +1,39 @@
-//! When the server begins the next frame: so that it is generated when the coder is free, and coded when the network is.
+//! Decides when the server begins the next frame, so that it reaches the coder and the network when they are free.
 //!
-//! Generating, coding and sending each work on a frame of their own. A frame that is begun too early waits in front of the next
-//! station and grows old; one begun too late leaves the station idle. So each station's time is estimated from the frames before, and
-//! the next frame is begun as late as keeps the slowest station busy. It is then made for the newest pose, and never made in vain.
+//! Generating, coding and sending each work on a frame of their own. A frame that begins too early waits at the next
+//! station and ages. One that begins too late leaves the station idle. So past frames give each station's time, and
+//! the next frame begins as late as keeps the slowest station busy. It is then made for the newest pose.
 
-/// What works on a frame, one after the other.
+/// The stations that work on a frame, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Station {
-    /// March and layering.
+    /// Marches and layers it.
     Generate,
-    /// To bytes.
+    /// Codes it to bytes.
     Code,
-    /// To the network, until that has all of the base.
+    /// Writes it to the network, up to the end of its base.
     Send,
 }
 
-/// See the module. Times are µs on a clock that does not run backwards.
+/// Decides when to begin frames. Times are µs on a clock that does not run backwards.
 ///
-/// For each frame and station in order: `handle_begun`, then `handle_done`; or `handle_given_up` or `handle_dropped`, when the frame goes no further. A
-/// frame that is generated before begins with the coder.
+/// For each frame and station in order, call `handle_begun` and then `handle_done`. Call `handle_given_up` or
+/// `handle_dropped` when the frame stops there. A frame that is sent again starts at the coder.
 #[derive(Clone, Debug, Default)]
 pub struct Schedule {
     stations: [At; 3],
     begun_at_micros: Option<u64>,
-    /// The viewer needs so long to decode a list.
+    /// The viewer's decoding time, ns per list.
     decode_nanos_per_list: u16,
 }
 
-/// One station.
+/// The state of one station.
 #[derive(Clone, Copy, Debug, Default)]
 struct At {
     time: Estimate,
-    /// Since when it works on a frame of so many lists.
+    /// The start of its current work and the number of lists.
     work: Option<(u64, usize)>,
-    /// Lists of the frame in front of it.
+    /// Number of lists in the frame that waits for it.
     queued: Option<usize>,
 }
 
@@ -47,8 +47,8 @@ impl Schedule {
         }
     }
 
-    /// A station is done with its frame, which now waits for the next one. `is_usual` if the frames to come are expected to take as
-    /// long.
+    /// A station has finished its frame, which now waits for the next station. `is_usual` if later frames should take
+    /// as long.
     pub fn handle_done(&mut self, now_micros: u64, station: Station, is_usual: bool) {
         let at = &mut self.stations[station as usize];
         let Some((since, num_lists)) = at.work.take() else { return };
@@ -60,24 +60,23 @@ impl Schedule {
         }
     }
 
-    /// The frame that a station works on goes no further.
+    /// The frame at a station stops there.
     pub fn handle_given_up(&mut self, station: Station) {
         self.stations[station as usize].work = None;
     }
 
-    /// The frame that waits for a station goes no further.
+    /// The frame that waits for a station stops there.
     pub fn handle_dropped(&mut self, station: Station) {
         self.stations[station as usize].queued = None;
     }
 
-    /// The viewer needs so long to decode a list; 0: it is not known.
+    /// Sets the viewer's decoding time; 0 if unknown.
     pub fn handle_decoding(&mut self, nanos_per_list: u16) {
         self.decode_nanos_per_list = nanos_per_list;
     }
 
-    /// When to begin a frame of `num_lists` lists, at `now` or later. None as long as another one is being generated, or waits for
-    /// the coder. To be asked again when anything has happened, and at that time: an answer holds as long as every station takes as
-    /// long as expected.
+    /// When to begin a frame of `num_lists` lists, at `now` or later. `None` while another one is generated or waits
+    /// for the coder. Ask again after any event, and at that time: stations may take longer than expected.
     pub fn begin_at(&self, now_micros: u64, num_lists: usize) -> Option<u64> {
         let [generate, code, send] = &self.stations;
         if generate.work.is_some() || code.queued.is_some() {
@@ -86,11 +85,11 @@ impl Schedule {
         let takes = |at: &At| at.time.micros(num_lists);
         let coder_free = code.free_at(now_micros, now_micros);
         let sender_free = send.free_at(now_micros, now_micros);
-        // What is with the coder, or behind it, is sent before.
+        // Frames at the coder and behind it are sent first.
         let before = code.work.map(|(_, lists)| lists);
         let sender_free =
             before.map_or(sender_free, |lists| coder_free.max(sender_free) + send.time.micros(lists));
-        // A little earlier than expected: an idle station costs more than a short wait.
+        // An idle station costs more than a short wait, so the frame begins a little earlier.
         let early = generate.time.micros(num_lists) + generate.time.spread(num_lists);
         let for_coder = coder_free.saturating_sub(early);
         let for_sender = sender_free.saturating_sub(early + takes(code));
@@ -101,18 +100,18 @@ impl Schedule {
 }
 
 impl At {
-    /// When it has done what it works on and what waits for it, at `now` or later, if nothing is begun before `from`.
+    /// When it finishes its current and waiting work, at `now` or later, if nothing begins before `from`.
     fn free_at(&self, now_micros: u64, from_micros: u64) -> u64 {
         let working = self.work.map_or(from_micros, |(since, lists)| {
             let expected = since + self.time.micros(lists);
-            // What is late may be as late again: a network that stands still is not fed.
+            // Work that is late may be as late again, so a stalled network gets no frames.
             expected.max(now_micros + now_micros.saturating_sub(expected))
         });
         working + self.queued.map_or(0, |lists| self.time.micros(lists))
     }
 }
 
-/// Time a list, µs: a mean that forgets, and how far single ones are from it.
+/// Time per list, µs: a moving mean, and the mean deviation from it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Estimate {
     mean: Option<f64>,

@@ -1,12 +1,12 @@
-//! A picture that the server renders in full for the viewer to keep.
+//! A picture that the server renders in full, for the viewer to keep.
 //!
-//! | message | says |
+//! | message | content |
 //! |---|---|
-//! | [`ClientMessage::TakeScreenshot`], [`ClientMessage::CancelScreenshot`] | the view, or that no picture is wanted any more; at most 30 a second |
-//! | [`ServerMessage::ScreenshotFailed`] | why a picture does not come |
+//! | [`ClientMessage::TakeScreenshot`], [`ClientMessage::CancelScreenshot`] | the view, or its withdrawal; at most 30 a second |
+//! | [`ServerMessage::ScreenshotFailed`] | why there is no picture |
 //! | stream `IGLS` | the picture as PNG; see [`crate::wire::screenshot`] |
 //!
-//! One picture is wanted at a time: a later request replaces the one before.
+//! Only one picture is wanted at a time: a later request replaces the one before.
 
 use std::sync::Arc;
 
@@ -21,18 +21,18 @@ use crate::wire::{ClientMessage, PoseRequest, ScreenshotRequest, ServerMessage};
 pub struct ReceivedScreenshot {
     /// The request.
     pub id: ScreenshotId,
-    /// A PNG file of the size that was asked for, or one line of why there is none.
+    /// A PNG file of the requested size, or one line that says why there is none.
     pub png: Result<Vec<u8>, String>,
 }
 
-/// The client's half: the picture that is wanted, and its outcome.
+/// The client's half: the wanted picture, and its outcome.
 #[derive(Debug)]
 pub struct ScreenshotClient {
     newest: ScreenshotId,
     wanted: Option<ScreenshotRequest>,
-    /// The request that the server works on, as far as it was told over this connection.
+    /// The request that the server works on, as far as this connection has told it.
     asked: Option<ScreenshotId>,
-    /// What to tell it; none: that no picture is wanted.
+    /// The next thing to send; its inner `None` cancels.
     outbox: Pace<Option<ScreenshotRequest>>,
     outcome: Option<Arc<ReceivedScreenshot>>,
 }
@@ -45,7 +45,7 @@ impl Default for ScreenshotClient {
 }
 
 impl ScreenshotClient {
-    /// Asks for a picture, under the look that the viewer wants. A view that cannot be rendered fails at once.
+    /// Requests a picture with the viewer's look. A view that cannot be rendered fails at once.
     pub fn request(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ScreenshotId {
         self.newest = self.newest.next();
         let view = PoseRequest::of_view(pose, intrinsics).encode().to_vec();
@@ -59,23 +59,23 @@ impl ScreenshotClient {
         self.newest
     }
 
-    /// The picture is no longer wanted.
+    /// Withdraws the request.
     pub fn cancel(&mut self) {
         self.wanted = None;
         self.outbox.offer(Some(None));
     }
 
-    /// Whether the picture of this request is still wanted: its stream is worth reading.
+    /// Whether the picture of this request is still wanted, so that its stream is worth reading.
     pub fn wants(&self, id: ScreenshotId) -> bool {
         self.wanted.as_ref().is_some_and(|wanted| wanted.id == id)
     }
 
-    /// The outcome of the newest request, once.
+    /// Takes the outcome of the newest request.
     pub fn take_outcome(&mut self) -> Option<Arc<ReceivedScreenshot>> {
         self.outcome.take()
     }
 
-    /// A connection is up: a picture that is still wanted is asked for again.
+    /// A connection is up: a picture that is still wanted is requested again.
     pub fn handle_welcome(&mut self) {
         self.asked = None;
         self.outbox.offer(self.wanted.clone().map(Some));
@@ -124,13 +124,13 @@ impl ScreenshotClient {
     fn settle(&mut self, id: ScreenshotId, png: Result<Vec<u8>, String>) {
         if self.wanted.take_if(|wanted| wanted.id == id).is_some() {
             self.outcome = Some(Arc::new(ReceivedScreenshot { id, png }));
-            // The server knows that nothing is left to do.
+            // The server has nothing left to do and knows it.
             self.asked.take_if(|asked| *asked == id);
         }
     }
 }
 
-/// The server's half: what is wanted, and what has failed.
+/// The server's half: the newest request, and failures.
 #[derive(Debug, Default)]
 pub struct ScreenshotServer {
     changed: Option<Option<ScreenshotRequest>>,
@@ -138,7 +138,7 @@ pub struct ScreenshotServer {
 }
 
 impl ScreenshotServer {
-    /// A message has arrived: of several requests the newest is left.
+    /// A message has arrived. Only the newest request remains.
     pub fn handle_message(&mut self, message: &ClientMessage) {
         match message {
             ClientMessage::TakeScreenshot(request) => self.changed = Some(Some(request.clone())),
@@ -147,7 +147,7 @@ impl ScreenshotServer {
         }
     }
 
-    /// What to make now in place of what is in the making; its inside is none for nothing.
+    /// Takes the newest request, which replaces any picture in progress; its inner `None` cancels.
     pub fn poll_request(&mut self) -> Option<Option<ScreenshotRequest>> {
         self.changed.take()
     }
@@ -163,7 +163,7 @@ impl ScreenshotServer {
     }
 }
 
-/// Columns and rows, by the first part of a PNG file (signature, then IHDR).
+/// Columns and rows, from the start of a PNG file (signature, then IHDR).
 fn png_size(png: &[u8]) -> Option<[u32; 2]> {
     let rest = png.strip_prefix(b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR")?;
     let side = |at: usize| Some(u32::from_be_bytes(rest.get(at..at + 4)?.try_into().ok()?));

@@ -1,8 +1,8 @@
-//! Which part of the file all viewers of a server see.
+//! The part of the file that all viewers of a server see.
 //!
-//! [`ClientMessage::Select`] names the part to show instead, and [`ClientMessage::CancelSelection`] takes it back.
-//! [`ServerMessage::Choices`] says what the file holds, and which part is shown. [`ServerMessage::Load`] says how the
-//! reading of another part stands, at most ten times a second.
+//! [`ClientMessage::Select`] requests another part, and [`ClientMessage::CancelSelection`] withdraws that.
+//! [`ServerMessage::Choices`] lists what the file holds and what is shown. [`ServerMessage::Load`] reports the
+//! progress of reading, at most ten times a second.
 
 use std::sync::Arc;
 
@@ -19,28 +19,28 @@ pub struct SelectionClient {
 }
 
 impl SelectionClient {
-    /// Asks for another part, for all viewers; none: the one that is being read is no longer wanted. The newest wins.
+    /// Requests another part for all viewers; `None` cancels the one that is being read. The newest request wins.
     pub fn open(&mut self, part: Option<Part>) {
         self.unsent = Some(part);
     }
 
-    /// What the file holds beside what is shown, once the server has said so.
+    /// What the file holds, once the server has said so.
     pub fn choices(&self) -> Option<Arc<Choices>> {
         self.choices.clone()
     }
 
-    /// How the reading of another part stands, as last heard.
+    /// The last known progress of reading another part.
     pub fn load(&self) -> Option<LoadStatus> {
         self.load.clone()
     }
 
-    /// A connection is up. A request that was made while there was none is forgotten after the first connection: it may
-    /// be minutes old, and would change what all others see.
+    /// A connection is up. Except on the first one, a request from before is forgotten: it may be minutes old, and
+    /// would change what all others see.
     pub fn handle_welcome(&mut self, is_first: bool) {
         if !is_first {
             self.unsent = None;
         }
-        // The server says both again.
+        // The server sends both again.
         (self.choices, self.load) = (None, None);
     }
 
@@ -53,12 +53,12 @@ impl SelectionClient {
         }
     }
 
-    /// The server has said what the file holds.
+    /// The server lists what the file holds.
     pub fn handle_choices(&mut self, choices: Choices) {
         self.choices = Some(Arc::new(choices));
     }
 
-    /// The server has said how a reading stands.
+    /// The server reports the progress of reading.
     pub fn handle_load(&mut self, load: LoadStatus) {
         self.load = Some(load);
     }
@@ -70,23 +70,23 @@ impl SelectionClient {
     }
 }
 
-/// How the reading of another part stands, for all viewers.
+/// The reading of another part, for all viewers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Load {
     /// Counts the loads of a server, from 1.
     pub id: LoadId,
-    /// Who asked for it.
+    /// The viewer that requested it.
     pub viewer: ViewerId,
-    /// What is asked for.
+    /// The requested part.
     pub part: Part,
-    /// Bytes of memory that it takes; 0: not known yet.
+    /// Memory that it takes, bytes; 0 if not known yet.
     pub bytes_needed: u64,
-    /// How far it is.
+    /// Its progress.
     pub state: LoadState,
 }
 
 impl Load {
-    /// Whether it goes on.
+    /// Whether the reading continues.
     pub fn is_reading(&self) -> bool {
         matches!(self.state, LoadState::Reading { .. })
     }
@@ -99,17 +99,17 @@ pub struct SelectionServer {
     ordered: Option<Option<Part>>,
     choices: Option<Choices>,
     load: Option<Load>,
-    /// When a load that goes on may be told of again, µs.
+    /// When to report progress again, µs.
     tell_at: u64,
 }
 
 impl SelectionServer {
-    /// Nothing is known of the file yet.
+    /// Starts without any knowledge of the file.
     pub fn new(viewer: ViewerId) -> Self {
         Self { viewer, ordered: None, choices: None, load: None, tell_at: 0 }
     }
 
-    /// A message has arrived: of several orders the newest is left.
+    /// A message has arrived. Only the newest request remains.
     pub fn handle_message(&mut self, message: &ClientMessage) {
         match message {
             ClientMessage::Select(part) => self.ordered = Some(Some(*part)),
@@ -118,17 +118,17 @@ impl SelectionServer {
         }
     }
 
-    /// What was asked for last, once.
+    /// Takes the newest request.
     pub fn poll_order(&mut self) -> Option<Option<Part>> {
         self.ordered.take()
     }
 
-    /// The file holds this, and this part of it is shown.
+    /// Sets what the file holds and what is shown.
     pub fn handle_choices(&mut self, choices: Choices) {
         self.choices = Some(choices);
     }
 
-    /// A reading stands so.
+    /// Sets the progress of reading.
     pub fn handle_load(&mut self, load: Load) {
         self.load = Some(load);
     }
@@ -147,13 +147,13 @@ impl SelectionServer {
         Some(ServerMessage::Load(LoadStatus { load: id, is_own, part, bytes_needed, state }))
     }
 
-    /// When to poll again, µs. The end of a reading is told at once.
+    /// When to poll again, µs. The end of a reading is reported at once.
     pub fn due(&self) -> Option<u64> {
         self.load.as_ref().map(|load| if load.is_reading() { self.tell_at } else { 0 })
     }
 }
 
-/// Viewers hear of a load's progress at most so often.
+/// Time between progress reports to a viewer.
 const TELL_PERIOD_MICROS: u64 = 100_000;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The server's halves of all subjects, for one viewer. Each looks at every message, and takes what is its own.
+//! The server's halves of all subjects, for one viewer. Each inspects every message and takes its own.
 
 use super::admission::ViewerId;
 use super::chunks::ChunksServer;
@@ -13,19 +13,19 @@ use crate::look::Look;
 use crate::wire::control::{self, ControlError, one_line};
 use crate::wire::{ClientMessage, ClientStats, PoseError, Refusal, ServerMessage};
 
-/// What a server says to one viewer and hears from it, over one connection.
+/// The conversation with one viewer as the server sees it, over one connection.
 ///
-/// Call `handle_datagram` and `handle_message` for what arrives. Send what `poll_message` returns, and ask again at `due`.
-/// Times are µs on the server's clock, which must not run backwards.
+/// Call `handle_datagram` and `handle_message` for what arrives. Send what `poll_message` returns, and poll again at
+/// `due`. Times are µs on the server's clock, which must not run backwards.
 #[derive(Debug)]
 pub struct ServerSession {
-    /// Where frames are wanted from.
+    /// The camera that frames are for.
     pub pose: PoseServer,
-    /// Which chunks of them are worth sending.
+    /// The chunks that are worth sending.
     pub chunks: ChunksServer,
-    /// What they look like.
+    /// The look of the frames.
     pub look: LookServer,
-    /// Which part of the file they show.
+    /// The shown part of the file.
     pub selection: SelectionServer,
     /// The value at a point.
     pub probe: ProbeServer,
@@ -38,7 +38,7 @@ pub struct ServerSession {
 /// What a message means for the connection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Heard {
-    /// A subject has it.
+    /// One of the subjects takes it.
     Taken,
     /// How the viewer fares, for the log.
     Stats(ClientStats),
@@ -47,7 +47,7 @@ pub enum Heard {
 }
 
 impl ServerSession {
-    /// For a viewer that was welcomed now, with this look.
+    /// Starts for a viewer that was welcomed now, with this look.
     pub fn new(now_micros: u64, viewer: ViewerId, version: LookVersion, look: Look) -> Self {
         Self {
             pose: PoseServer::new(now_micros),
@@ -77,7 +77,7 @@ impl ServerSession {
     /// A control message has arrived after the hello.
     ///
     /// # Errors
-    /// If the viewer must be sent away for it.
+    /// If the viewer must be dismissed for it.
     pub fn handle_message(&mut self, body: &[u8]) -> Result<Heard, Refusal> {
         let message: ClientMessage = control::decode(body).map_err(|e| violation(&e))?;
         match message {
@@ -103,13 +103,13 @@ impl ServerSession {
             .or_else(|| self.probe.poll_message())
     }
 
-    /// When to poll messages again though nothing has happened, µs.
+    /// When to poll messages again if nothing happens, µs.
     pub fn due(&self) -> Option<u64> {
         self.selection.due()
     }
 }
 
-/// What a client is told that sent something unreadable.
+/// The answer to a client that sent something unreadable.
 pub fn violation(error: &ControlError) -> Refusal {
     Refusal::Protocol(one_line(&error.to_string()))
 }

@@ -10,9 +10,9 @@ pub const BRICK: u32 = 8;
 
 /// Least and greatest stored number of each brick.
 ///
-/// Brick `b` covers `[8b, 8b + 8)` of voxel space. Its range counts every voxel that a trilinear sample in there, or
+/// Brick `b` covers `[8b, 8b + 8)` of voxel space. Its range counts every voxel that a trilinear sample within it, or
 /// up to half a voxel outside, can read: `8b − 1 ..= 8b + 8`. So a sample that rounding puts just outside is still
-/// bounded, and the ranges of bricks that touch always intersect.
+/// bounded, and the ranges of touching bricks always intersect.
 #[derive(Clone, Debug)]
 pub struct Bricks {
     dims: [u32; 3],
@@ -41,8 +41,8 @@ impl Bricks {
         self.occupancy_by(|lo, hi| table.is_visible(lo, hi), |_, _| None)
     }
 
-    /// The bricks of which `is_visible` says so, given their least and greatest stored number; and of each what `peak` says,
-    /// where a rendering looks for the greatest of something in 0 to 1.
+    /// The bricks for which `is_visible` holds, given their least and greatest stored number. Where a rendering looks
+    /// for the greatest of something in 0 to 1, `peak` bounds it for each brick.
     pub fn occupancy_by(
         &self,
         is_visible: impl Fn(f32, f32) -> bool,
@@ -54,27 +54,27 @@ impl Bricks {
     }
 }
 
-/// How many bricks away the nearest visible brick is, for each brick; x fastest.
+/// The distance in bricks to the nearest visible brick, for each brick; x fastest.
 ///
-/// Away is meant as a king moves, also across corners: within a distance d of a brick, all bricks less than d away
-/// are invisible, a cube of 2d − 1 bricks that can be jumped over at once.
+/// Distances are those of a chess king, across corners too. All bricks less than a distance d away are invisible: a
+/// cube of 2d − 1 bricks that can be skipped at once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Occupancy {
     /// Bricks along x, y, z.
     pub dims: [u32; 3],
-    /// The distances, 0 where something is visible and at most `DISTANCE_MAX`, four a word, lowest first.
+    /// The distances, 0 for a visible brick and at most `DISTANCE_MAX`, four per word, lowest byte first.
     pub words: Vec<u32>,
-    /// What no key of a brick is above, in units of 1/[`PEAK_MAX`], four a word, lowest first; empty unless the greatest key is
-    /// looked for. A march that has met a greater one jumps over the brick.
+    /// Upper bounds of the keys in each brick, in units of 1/[`PEAK_MAX`], four per word, lowest byte first. Empty
+    /// unless a mode looks for the greatest key. A march with a greater key skips the brick.
     pub peaks: Vec<u32>,
 }
 
 impl Occupancy {
-    /// The distances to the bricks for which `visible` has true; x fastest.
+    /// The distances to the bricks for which `visible` yields true; x fastest.
     fn of(dims: [u32; 3], visible: impl Iterator<Item = bool>) -> Self {
         let mut distances: Vec<u8> = visible.map(|v| if v { 0 } else { DISTANCE_MAX }).collect();
         let [nx, ny, nz] = dims.map(|d| d as usize);
-        // Twice across the grid, each time from the neighbours that have been visited: a cube's moves need no more.
+        // Two passes over the grid suffice for a king's moves, each from the neighbours that have been visited.
         for is_back in [false, true] {
             let turn = |i: usize, n: usize| if is_back { n - 1 - i } else { i };
             for (z, y, x) in (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| (z, y, x))))
@@ -107,21 +107,21 @@ impl Occupancy {
         Self { dims, words: in_words(distances.into_iter()), peaks: Vec::new() }
     }
 
-    /// Every brick visible: the negative control of empty-space skipping.
+    /// All bricks visible: the negative control of empty-space skipping.
     pub fn full(dims: [u32; 3]) -> Self {
         let n = dims.iter().map(|&d| d as usize).product::<usize>();
         Self { dims, words: vec![0; n.div_ceil(4)], peaks: Vec::new() }
     }
 
-    /// How many bricks away from brick (x, y, z), which must be inside, the nearest visible one is: 0 if it is visible
-    /// itself, at most `DISTANCE_MAX`.
+    /// Distance from brick (x, y, z), which must exist, to the nearest visible one: 0 if it is visible itself, at
+    /// most `DISTANCE_MAX`.
     #[inline]
     pub fn distance(&self, x: u32, y: u32, z: u32) -> u32 {
         let i = (z * self.dims[1] + y) * self.dims[0] + x;
         self.words[i as usize / 4] >> (8 * (i % 4)) & 0xff
     }
 
-    /// Whether no key of brick (x, y, z) is above `key`, which is known where there are peaks.
+    /// Whether no key of brick (x, y, z) exceeds `key`, if peaks are known.
     #[inline]
     pub fn is_beaten(&self, x: u32, y: u32, z: u32, key: f32) -> bool {
         let i = (z * self.dims[1] + y) * self.dims[0] + x;
@@ -129,7 +129,7 @@ impl Occupancy {
         code.is_some_and(|code| code as f32 * (1.0 / PEAK_MAX) <= key)
     }
 
-    /// Share of the bricks that are visible.
+    /// Fraction of bricks that are visible.
     pub fn fraction(&self) -> f32 {
         let [nx, ny, nz] = self.dims;
         let bricks = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
@@ -138,13 +138,13 @@ impl Occupancy {
     }
 }
 
-/// The code of a key's upper bound, above it whatever the rounding; nothing is above the last.
+/// Code of an upper bound of a key, rounded up; the last code bounds all keys.
 fn peak_code(key: f32) -> u8 {
     let key = if key < 1.0 { key.max(0.0) } else { 1.0 };
     (key * PEAK_MAX + 1.0) as u8
 }
 
-/// Bytes, four a word, lowest first.
+/// Packs bytes, four per word, lowest byte first.
 fn in_words(bytes: impl Iterator<Item = u8>) -> Vec<u32> {
     let bytes: Vec<u8> = bytes.collect();
     let word = |four: &[u8]| four.iter().rev().fold(0, |word, &byte| word << 8 | u32::from(byte));
@@ -184,9 +184,9 @@ fn range_of<T: Copy + Ord + Into<f32>>(row: &[T]) -> (f32, f32) {
     (lo.into(), hi.into())
 }
 
-/// Units of the greatest key.
+/// Code of the greatest key.
 pub const PEAK_MAX: f32 = 255.0;
-/// Greatest distance that is told apart.
+/// Greatest stored distance.
 const DISTANCE_MAX: u8 = 32;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Transfer functions made ready for one volume: what their domain and unit length stand for in it.
+//! Prepares transfer functions for one volume, which gives their domain and unit length a meaning.
 
 use super::{Histogram, Volume};
 use crate::transfer::{Domain, TransferFunction, TransferTable, UnitLength, integrated};
@@ -14,7 +14,7 @@ impl TransferFunction {
         self.tabulate(unit_length, self.x_map(volume, histogram))
     }
 
-    /// The table of [`Self::shown`] for one volume, in place of extinction its greatest channel.
+    /// The table of [`Self::shown`] for one volume, with the greatest channel in place of extinction.
     pub fn shown_table(&self, volume: &Volume, histogram: &Histogram) -> TransferTable {
         let shown = |x: f32| {
             let c = self.shown(x);
@@ -23,7 +23,7 @@ impl TransferFunction {
         integrated(shown, self.x_map(volume, histogram))
     }
 
-    /// The same function over the values that its domain stands for in one volume, for others to be seen alike.
+    /// The same function over this volume's values, so that other volumes look alike.
     pub fn at_values(&self, volume: &Volume, histogram: &Histogram) -> Self {
         let (lo, hi) = self.domain_in(volume, histogram);
         let domain = if hi > lo { Domain::Values(lo, hi) } else { self.domain };
@@ -35,9 +35,9 @@ impl TransferFunction {
         match self.domain {
             Domain::Full => volume.value_range(),
             Domain::Values(a, b) => (a, b),
-            // What few voxels far away from all others have is no end of a domain.
+            // A few voxels far away from all others do not end a domain.
             Domain::Percentiles(a, b) => match (histogram.bulk_percentile(a), histogram.bulk_percentile(b)) {
-                // Nearly all voxels are the same: the others are what there is to see.
+                // Nearly all voxels are equal, so the few others matter.
                 (lo, hi) if lo >= hi => (histogram.lo, histogram.hi),
                 between => between,
             },
@@ -48,7 +48,7 @@ impl TransferFunction {
     fn x_map(&self, volume: &Volume, histogram: &Histogram) -> (f32, f32) {
         let (lo, hi) = self.domain_in(volume, histogram);
         let (scale, offset) = volume.value_map();
-        // In double precision: the span may be shorter than the inverse of the greatest float.
+        // Double precision: the span may be shorter than the inverse of the greatest float.
         let (lo, span) = (f64::from(lo), if hi > lo { f64::from(hi) - f64::from(lo) } else { 1.0 });
         let finite = |x: f64| (x as f32).clamp(f32::MIN, f32::MAX);
         (finite(f64::from(scale) / span), finite((f64::from(offset) - lo) / span))

@@ -1,4 +1,4 @@
-//! The mean extinction of matter in the cells of a coarse grid: what light is held up by.
+//! The mean extinction of matter in the cells of a coarse grid, for lighting.
 
 mod surfaces;
 
@@ -13,18 +13,18 @@ use crate::clip::Region;
 use crate::space::Aabb;
 use crate::transfer::{TABLE_BINS, TransferTable};
 
-/// How finely light is worked out.
+/// The detail of lighting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
-    /// While something is being dragged: few cells, few directions, and not every voxel read.
+    /// While something is dragged: few cells, few directions, and not every voxel.
     Draft,
-    /// For the picture that stays.
+    /// For the final picture.
     Final,
 }
 
 impl Detail {
-    /// Cells of the grid, at most: of four bytes each, and a few arrays of them. Twice as many along each axis cost eight
-    /// times the work, and creases of two voxels of a scan of 256³ are told apart by these.
+    /// Most cells of the grid, of four bytes each and a few more arrays. These resolve creases of two voxels in a
+    /// scan of 256³. Twice as many along each axis would cost eight times the work.
     fn max_cells(self) -> f32 {
         match self {
             Self::Draft => (1 << 17) as f32,
@@ -33,17 +33,17 @@ impl Detail {
     }
 }
 
-/// What light is held up by.
+/// What attenuates light.
 #[derive(Clone, Copy, Debug)]
 pub enum Matter<'a> {
-    /// All matter, as a transfer function classifies it.
+    /// All matter, as classified by a transfer function.
     Medium(&'a TransferTable),
-    /// Surfaces, in any order, and what lies behind opaque ones.
+    /// Surfaces in any order, and the matter behind opaque ones.
     Surfaces(&'a [Sheet]),
 }
 
-/// Mean extinction of every cell, x fastest. Cells are blocks of voxels, about cubes in the world; the first begins where
-/// the volume does, and the last may reach beyond it, where there is nothing.
+/// Mean extinction of each cell, x fastest. A cell is a block of voxels, about a cube in the world. The first begins
+/// where the volume does; the last may reach beyond it into empty space.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Extinction {
     /// Cells along x, y, z.
@@ -52,12 +52,12 @@ pub(crate) struct Extinction {
     pub(crate) voxels: [usize; 3],
     /// Sides of a cell, world units.
     pub(crate) cell: Vec3,
-    /// Inverse world units.
+    /// Extinctions, 1/world unit.
     pub(crate) sigma: Vec<f32>,
 }
 
 impl Extinction {
-    /// Of every voxel, or in a draft of some of each cell. Outside of `region` there is nothing.
+    /// Computes it from every voxel, or in a draft from some of each cell. There is nothing outside `region`.
     pub(crate) fn of(volume: &Volume, matter: Matter<'_>, region: &Region, detail: Detail) -> Self {
         let (dims, voxels) = cells(volume, detail.max_cells());
         let step = match detail {
@@ -87,19 +87,19 @@ impl Extinction {
         found
     }
 
-    /// Takes away what lies outside of a region: of a cell at its border the share.
+    /// Removes matter outside a region; border cells lose a share.
     fn cut(&mut self, volume: &Aabb, region: &Region) {
         let [cx, cy, _] = self.dims;
         let (cell, first) = (self.cell, volume.min);
         self.sigma.par_iter_mut().enumerate().for_each(|(i, sigma)| {
             let corner = Vec3::new((i % cx) as f32, (i / cx % cy) as f32, (i / cx / cy) as f32);
             let low = first + corner * cell;
-            // Of a cell that reaches beyond the volume only the part inside holds anything, and can lose it.
+            // Only the part of a cell inside the volume holds anything.
             let inside = (low + cell).min(volume.max) - low;
             let overlap = (region.bounds.max.min(low + inside) - region.bounds.min.max(low)).max(Vec3::ZERO);
             let in_box = (overlap / inside).to_array().iter().product::<f32>();
             let distance = region.normal.dot(low + 0.5 * inside) - region.offset;
-            // Half of what it spans along the normal.
+            // Half of the extent along the normal.
             let reach = 0.5 * (region.normal.abs() * inside).element_sum();
             let on_side = if reach > 0.0 {
                 (0.5 + 0.5 * distance / reach).clamp(0.0, 1.0)
@@ -120,7 +120,7 @@ impl Extinction {
         let [nx, ny, nz] = volume.dims().map(|d| d as usize);
         let [cx, cy, _] = self.dims;
         let side = self.voxels;
-        // A cell beyond the volume's end is as full as the part inside.
+        // A cell beyond the volume's end is as full as its part inside.
         let taken = |axis: usize| side[axis].div_ceil(step[axis]) as f32;
         let share = (taken(0) * taken(1) * taken(2)).recip();
         self.sigma.par_chunks_mut(cx * cy).enumerate().for_each(|(k, slice)| {
@@ -138,11 +138,11 @@ impl Extinction {
     }
 }
 
-/// Cells along the axes and voxels of one, so that there are at most `max_cells`, about as long as wide.
+/// Cells along the axes, and voxels of one: at most `max_cells`, of about equal sides.
 fn cells(volume: &Volume, max_cells: f32) -> ([usize; 3], [usize; 3]) {
     let size = volume.spacing() * volume.dims_f32();
     let least = volume.spacing().min_element();
-    // In single precision a product of three sides could underflow; relative to the least spacing none does.
+    // A product of three sides could underflow in single precision, but not relative to the least spacing.
     let relative = size / least;
     let mut side = (relative.x * relative.y * relative.z / max_cells).cbrt().max(1.0);
     loop {
@@ -162,7 +162,7 @@ fn cell_sides(volume: &Volume, voxels: [usize; 3]) -> Vec3 {
 
 /// Extinction of a stored number.
 fn sigma_of(table: &TransferTable, stored: f32) -> f32 {
-    // Not `clamp`: numbers of the greatest domains may cancel to none.
+    // `clamp` would pass NaN on, which numbers of the greatest domains may become.
     let x = stored * table.x_scale + table.x_offset;
     let u = if x > 0.0 { x.min(1.0) } else { 0.0 } * TABLE_BINS as f32;
     let i = (u as usize).min(TABLE_BINS - 1);

@@ -1,7 +1,7 @@
-//! Closed-form extinction fields with exact ray integrals: what the kernels are proved against.
+//! Closed-form extinction fields with exact ray integrals, which verify the kernels.
 //!
-//! Each field fills the box of a volume; its value *is* its extinction in inverse world units, to be classified by a
-//! table whose σ(x) is linear.
+//! Each field fills the box of a volume. Its value *is* its extinction in inverse world units, so a table with linear
+//! σ(x) classifies it.
 
 use glam::Vec3;
 
@@ -11,7 +11,7 @@ use crate::space::Ray;
 /// An extinction field σ(p) whose optical depth along any ray is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Field {
-    /// σ everywhere.
+    /// The same σ everywhere.
     Constant(f32),
     /// σ = `at_zero` + `slope`·x: a ramp along world x.
     Ramp {
@@ -22,7 +22,7 @@ pub enum Field {
     },
     /// σ = `peak`·(1 − r²/R²) inside the radius R around the origin, 0 outside.
     Sphere {
-        /// Extinction in the centre.
+        /// Extinction at the centre.
         peak: f32,
         /// Radius, world units.
         radius: f32,

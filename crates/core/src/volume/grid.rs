@@ -52,29 +52,29 @@ impl Voxels {
     }
 }
 
-/// What a file said of its volume beside the voxels.
+/// Facts about a volume from its file, beside the voxels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VolumeInfo {
     /// File name or name of the built-in volume.
     pub name: String,
     /// Type of a voxel in the file, such as `uint8`.
     pub dtype: String,
-    /// Unit of the spacing, such as `mm`, if the file knows it.
+    /// Unit of the spacing, such as `mm`, if known.
     pub unit: Option<String>,
-    /// Where the three axes point, such as `RAS`, if the file knows it.
+    /// Directions of the three axes, such as `RAS`, if known.
     pub orientation: Option<String>,
-    /// Where the volume lies in the world of its file, if the file knows it.
+    /// Position of the volume in the world of its file, if known.
     pub placement: Option<Placement>,
-    /// How the volume was taken, in DICOM's terms (`CT`, `MR`, …), if the file knows it.
+    /// Acquisition modality in DICOM's terms (`CT`, `MR`, …), if known.
     pub modality: Option<String>,
-    /// Unit of the values, such as `HU`, if the file knows it.
+    /// Unit of the values, such as `HU`, if known.
     pub value_unit: Option<String>,
-    /// What was odd about the file, one sentence each.
+    /// Oddities of the file, one sentence each.
     pub warnings: Vec<String>,
 }
 
-/// Where a volume lies in the world of its file: right-anterior-superior (RAS+) for a body, the file's own axes otherwise.
-/// Lengths are in the unit of the spacing.
+/// Position of a volume in the world of its file: right-anterior-superior (RAS+) for a body, or else the file's own
+/// axes. Lengths are in the unit of the spacing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Placement {
     /// The point of the file's world at the origin of world space, which is the centre of the volume's box.
@@ -127,23 +127,23 @@ pub enum VolumeError {
         "spacing is {0}, expected three positive numbers from 1e-12 to 1e12, at most a factor of 1e4 apart"
     )]
     Spacing(Vec3),
-    /// What stored numbers mean is not a finite number.
+    /// A stored number has no finite meaning.
     #[error("stored numbers from {range:?} mean {scale} times that plus {offset}, expected finite values within ±{max:e}", max = Volume::MAX_MAGNITUDE)]
     Values {
         /// Least and greatest stored number.
         range: (f32, f32),
-        /// What they are multiplied by.
+        /// Factor from stored numbers to values.
         scale: f32,
-        /// What is added then.
+        /// Offset that is added then.
         offset: f32,
     },
-    /// A voxel is NaN, infinite or so large that differences would be.
+    /// A voxel is NaN, infinite or too large for differences.
     #[error(
         "{count} voxels are NaN or infinite or too large, the first at {first:?}; expected finite values within ±{max:e}",
         max = Volume::MAX_MAGNITUDE
     )]
     NotFinite {
-        /// How many.
+        /// Number of such voxels.
         count: u64,
         /// Coordinates of the first.
         first: [u32; 3],
@@ -153,8 +153,8 @@ pub enum VolumeError {
 impl Volume {
     /// Largest number of voxels along an axis: wgpu's default limit for 3-D textures.
     pub const MAX_SIDE: u32 = 2048;
-    /// Largest magnitude of a voxel: sums of the differences that interpolation and gradients take stay finite. Above
-    /// the usual marks for missing values (netCDF: 9.97e36) but one, the greatest float.
+    /// Largest magnitude of a voxel, so that interpolation and gradients stay finite. Usual marks for missing values
+    /// are below it (netCDF: 9.97e36), except the greatest float.
     pub const MAX_MAGNITUDE: f32 = 1e37;
 
     /// A volume of `dims` voxels, `spacing` apart (world units). Stored numbers mean `value_scale·stored +
@@ -253,7 +253,7 @@ impl Volume {
         (a.min(b), a.max(b))
     }
 
-    /// Bytes of the voxels in memory, and of their brightness, which shaded pictures need ([`super::Lit`]).
+    /// Memory of the voxels and of their brightness, which shaded pictures need ([`super::Lit`]), bytes.
     pub fn bytes_in_memory(&self) -> u64 {
         self.voxels.len() as u64 * (self.voxels.bytes_per_voxel() + BRIGHTNESS_BYTES) as u64
     }
@@ -266,10 +266,10 @@ impl Volume {
     }
 }
 
-/// Bytes of the brightness of a voxel; where matter shades itself, once more.
+/// Bytes per voxel for brightness. Self-shading takes as many again.
 const BRIGHTNESS_BYTES: usize = 1;
 
-/// Least and greatest of the voxels, of which there is one.
+/// Least and greatest voxel; there must be one.
 fn min_max<T: Copy + Send + Sync + Into<f32>>(
     voxels: &[T],
     min: impl Fn(T, T) -> T + Sync,
@@ -282,5 +282,5 @@ fn min_max<T: Copy + Send + Sync + Into<f32>>(
     (lo.into(), hi.into())
 }
 
-/// Voxels that a thread looks at in one go.
+/// Voxels in one thread's share.
 const PART: usize = 1 << 18;

@@ -4,12 +4,12 @@ use rayon::prelude::*;
 
 use super::grid::{Volume, Voxels};
 
-/// Counts of voxels over equal bins, in almost all cases between the least and the greatest value.
+/// Counts of voxels in equal bins, usually between the least and the greatest value.
 #[derive(Clone, Debug)]
 pub struct Histogram {
-    /// Value at the left edge of the first bin; what is less is counted there.
+    /// Value at the left edge of the first bin, which also counts lesser values.
     pub lo: f32,
-    /// Value at the right edge of the last bin; what is greater is counted there.
+    /// Value at the right edge of the last bin, which also counts greater values.
     pub hi: f32,
     /// Voxels in each bin.
     pub counts: Vec<u64>,
@@ -18,8 +18,8 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// The histogram of a volume in at most 65 536 bins: exact for 8- and 16-bit volumes. Where few floats far away from all
-    /// others would leave those a few bins, the bins are between the others.
+    /// The histogram of a volume in at most 65 536 bins: exact for 8- and 16-bit volumes. If a few distant floats
+    /// would squeeze the others into a few bins, the bins cover only the others.
     pub fn of(volume: &Volume) -> Self {
         let (stored_lo, stored_hi) = volume.stored_range();
         let mut range = (stored_lo, stored_hi);
@@ -47,7 +47,7 @@ impl Histogram {
         Self { lo, hi, counts, range: (least, greatest) }
     }
 
-    /// The least value with at least `percent` % of the voxels at or below it, as far as bins tell.
+    /// The least value with at least `percent` % of the voxels at or below it, to the precision of the bins.
     pub fn percentile(&self, percent: f32) -> f32 {
         if percent <= 0.0 {
             return self.range.0;
@@ -66,29 +66,29 @@ impl Histogram {
         self.range.1
     }
 
-    /// The same within the bins: few voxels far away from all others do not count.
+    /// The same within the bins, without a few voxels far away from all others.
     pub fn bulk_percentile(&self, percent: f32) -> f32 {
         self.percentile(percent).clamp(self.lo, self.hi)
     }
 
-    /// The value that parts the voxels best into lower and higher ones: the greatest variance between the two (Otsu 1979).
+    /// The value that best separates lower and higher voxels: the greatest variance between the classes (Otsu 1979).
     pub fn parting_value(&self) -> f32 {
         parting_value(&self.counts, (self.lo, self.hi))
     }
 }
 
-/// Voxels of each number.
+/// Counts the voxels of each number.
 fn counted<T: Copy + Sync + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
     let lo = lo as usize;
     let bin = |x: T| (x.into() as usize).saturating_sub(lo);
     in_parts(voxels, (hi - lo as f32) as usize + 1, bin)
 }
 
-/// Voxels of each of `num_bins` bins, of which the greatest takes what is beyond.
+/// Counts the voxels of each of `num_bins` bins; the last takes what is beyond.
 fn in_parts<T: Copy + Sync>(voxels: &[T], num_bins: usize, bin: impl Fn(T) -> usize + Sync) -> Vec<u64> {
     let last = num_bins - 1;
     let add = |mut sum: Vec<u64>, part: &[T]| {
-        // Neighbours are often alike: in one table each would wait for the one before to be counted.
+        // Neighbours are often equal, and in one table each would wait for the previous count.
         let mut tables = [(); 4].map(|()| vec![0u32; num_bins]);
         let (fours, rest) = part.as_chunks::<4>();
         for four in fours {
@@ -110,15 +110,16 @@ fn in_parts<T: Copy + Sync>(voxels: &[T], num_bins: usize, bin: impl Fn(T) -> us
     voxels.par_chunks(PART).fold(none, add).reduce(none, both)
 }
 
-/// Voxels in [`NUM_BINS`] equal bins; those outside in the first and the last.
+/// Counts voxels in [`NUM_BINS`] equal bins; the first and the last take those outside.
 fn in_bins(voxels: &[f32], (lo, hi): (f32, f32)) -> Vec<u64> {
-    // In double precision: the range may be shorter than the inverse of the greatest float.
+    // Double precision: the range may be shorter than the inverse of the greatest float.
     let lo = f64::from(lo);
     let scale = NUM_BINS as f64 / (f64::from(hi) - lo).max(f64::MIN_POSITIVE);
     in_parts(voxels, NUM_BINS, |x| ((f64::from(x) - lo) * scale) as usize)
 }
 
-/// The range of all voxels but [`TAIL`] at each end, if that is [`FAR`] times as short as `range`, over which `counts` are.
+/// The range of all voxels but [`TAIL`] at each end, if it is [`FAR`] times shorter than `range`, which `counts`
+/// cover.
 fn bulk(voxels: &[f32], mut range: (f32, f32), counts: &[u64]) -> Option<(f32, f32)> {
     let tail = (voxels.len() as f64 * TAIL) as u64;
     let from_below = |counts: &mut dyn Iterator<Item = &u64>| {
@@ -141,12 +142,12 @@ fn bulk(voxels: &[f32], mut range: (f32, f32), counts: &[u64]) -> Option<(f32, f
             let (lo, hi) = (f64::from(range.0), f64::from(range.1));
             (lo + (hi - lo) * (bin as f64 / NUM_BINS as f64)) as f32
         };
-        // The ends themselves: beside what is far away the others may be less than its rounding.
+        // The ends are stored, because beside distant values the others may be below the rounding.
         let inner = (
             if first == 0 { range.0 } else { at(first) },
             if after == NUM_BINS { range.1 } else { at(after) },
         );
-        // One value, and a few others: those are what there is to see.
+        // There is one value and a few others, and the others matter.
         if inner.0 >= inner.1 || inner == range {
             return None;
         }
@@ -155,7 +156,7 @@ fn bulk(voxels: &[f32], mut range: (f32, f32), counts: &[u64]) -> Option<(f32, f
     }
 }
 
-/// See [`Histogram::parting_value`]; `counts` are those of equal bins over `range`.
+/// See [`Histogram::parting_value`]; `counts` belong to equal bins over `range`.
 pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
     let total: f64 = counts.iter().map(|&n| n as f64).sum();
     let moment: f64 = counts.iter().enumerate().map(|(i, &n)| i as f64 * n as f64).sum();
@@ -173,7 +174,7 @@ pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
         if between > greatest {
             (greatest, first) = (between, i);
         }
-        // Over a gap without voxels it stays: the middle of that is as far from both.
+        // The variance stays equal across an empty gap; its middle is as far from both sides.
         if between >= greatest {
             last = i;
         }
@@ -182,13 +183,13 @@ pub fn parting_value(counts: &[u64], (lo, hi): (f32, f32)) -> f32 {
     (f64::from(lo) + (f64::from(hi) - f64::from(lo)) * at) as f32
 }
 
-/// Bins of floats.
+/// Number of bins for floats.
 const NUM_BINS: usize = 65_536;
-/// Voxels that a thread counts in one go: many times the bins.
+/// Voxels in one thread's share: many times the bins.
 const PART: usize = 1 << 21;
-/// Share of the voxels at either end that bins may pass over.
+/// Fraction of voxels at either end that bins may skip.
 const TAIL: f64 = 1e-4;
-/// How much finer bins must become by that.
+/// Gain in resolution that justifies skipping them.
 const FAR: usize = 16;
 
 #[cfg(test)]

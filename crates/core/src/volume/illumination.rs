@@ -1,5 +1,5 @@
-//! All that light does to a volume under a look, kept apart by what it depends on: a change of one thing works out no
-//! other again.
+//! Everything that light does to a volume under a look. Results with different inputs are stored apart, so that a
+//! change recomputes only what depends on it.
 
 use std::sync::Arc;
 
@@ -13,34 +13,33 @@ use super::shade::Shade;
 use crate::clip::Region;
 use crate::transfer::TransferTable;
 
-/// Brightness of the voxels of a volume under a look.
+/// Brightness of a volume's voxels under a look.
 ///
-/// Light comes from all around (ambient) and from a source (diffuse, by the angle of the gradient). With strengths a of
-/// the occlusion O and s of the shadow S, and A = 1 − a·(1 − O), a brightness is
+/// Light comes from all around (ambient) and from a source (diffuse, by the angle of the gradient). With strengths a
+/// of the occlusion O and s of the shadow S, and A = 1 − a·(1 − O), a brightness is
 ///
-///   ambient·A + diffuse·share·((1 − s)·A + s·S):
+/// ambient·A + diffuse·share·((1 − s)·A + s·S):
 ///
-/// what of the source's light throws no shadow comes from around it as well. Without shading the share is 1, and both
-/// lights together are 1. Of surfaces it is no less than a part of what it is without shade: a body that a face of the volume
-/// cuts open shows its inside, where no light comes.
+/// the part of the source's light that throws no shadow is occluded like ambient light. Without shading the share is
+/// 1, and both lights sum to 1. A surface keeps a part of its unshaded brightness: where a face of the volume cuts a
+/// body open, no light reaches its inside.
 #[derive(Clone, Debug)]
 pub struct Illumination {
     shading: Option<Shading>,
     lighting: Lighting,
-    /// What the extinction of matter depends on.
+    /// The inputs of the extinction.
     classes: Arc<Classes>,
     extinction: Option<Arc<(Detail, Extinction)>>,
     gradients: Option<Arc<Lit>>,
-    occlusion: Option<Part>,
-    shadow: Option<Part>,
+    occlusion: Option<GradedShade>,
+    shadow: Option<GradedShade>,
     lit: Option<Arc<Lit>>,
 }
 
-/// A shade, and how finely it was worked out.
-type Part = (Detail, Arc<Shade>);
+/// A shade and its level of detail.
+type GradedShade = (Detail, Arc<Shade>);
 
-/// What the extinction of matter depends on: that at the nodes of a table and how stored numbers find them, or surfaces; and
-/// where.
+/// The inputs of extinction: a table's nodes and the map to them, or surfaces; and the region.
 #[derive(Debug, PartialEq)]
 struct Classes {
     sigma: Vec<f32>,
@@ -59,7 +58,7 @@ impl Classes {
         Self { sigma, x_map, sheets, region: *region }
     }
 
-    /// Whether light is held up alike.
+    /// Whether both attenuate light alike.
     fn shades_like(&self, other: &Self) -> bool {
         let is_alike = self.sheets.is_some() || self.x_map == other.x_map;
         is_alike && self.sigma == other.sigma && self.sheets == other.sheets && self.region == other.region
@@ -67,9 +66,8 @@ impl Classes {
 }
 
 impl Illumination {
-    /// Lights a volume in the domain of `table`, where `matter` holds up light; what is not in `region`, which is a part of its
-    /// box, throws no shade. What is as it was `before`, for the same volume, is taken from there, if it is as fine as is
-    /// asked for.
+    /// Lights a volume in the domain of `table`, where `matter` attenuates light. Matter outside `region`, a part of
+    /// its box, throws no shadow. Unchanged results of the same detail are taken from `before`, of the same volume.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that brightness depends on")]
     pub fn of(
         volume: &Volume,
@@ -116,12 +114,12 @@ impl Illumination {
     ) {
         let lighting = self.lighting;
         let mut extinction = before.and_then(|b| b.extinction.clone()).filter(|e| e.0 == detail);
-        let mut shaded_by = |shade: &dyn Fn(&Extinction) -> Shade| -> Part {
+        let mut shaded_by = |shade: &dyn Fn(&Extinction) -> Shade| -> GradedShade {
             let found = extinction
                 .get_or_insert_with(|| Arc::new((detail, Extinction::of(volume, matter, region, detail))));
             (detail, Arc::new(shade(&found.1)))
         };
-        let is_fine = |part: &Part| part.0 == detail || part.0 == Detail::Final;
+        let is_fine = |part: &GradedShade| part.0 == detail || part.0 == Detail::Final;
         if lighting.ambient_occlusion > 0.0 {
             let kept = before.filter(|b| b.lighting.occlusion_radius == lighting.occlusion_radius);
             let kept = kept.and_then(|b| b.occlusion.clone()).filter(is_fine);
@@ -137,17 +135,17 @@ impl Illumination {
         self.extinction = extinction;
     }
 
-    /// What a march reads; none where matter shines by itself.
+    /// The brightness that a march reads; `None` where matter is not lit.
     pub fn lit(&self) -> Option<&Arc<Lit>> {
         self.lit.as_ref()
     }
 
-    /// Whether shade was worked out for the picture that stays, or there is none.
+    /// Whether the shade has its final detail, or there is none.
     pub fn is_final(&self) -> bool {
         [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
     }
 
-    /// The brightness of every voxel, in one number.
+    /// The brightness of every voxel, as one number.
     fn combined(&self, volume: &Volume) -> Lit {
         let [nx, ny, _] = volume.dims().map(|d| d as usize);
         let (ambient, diffuse) =
@@ -158,8 +156,8 @@ impl Illumination {
         let least = if self.classes.sheets.is_some() { LEAST_OF_SURFACES } else { 0.0 };
         let mut shares = vec![0u8; volume.voxels().len()];
         shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
-            let mut occlusion = self.occlusion.as_ref().map(|part| Rows::new(&part.1, nx));
-            let mut shadow = self.shadow.as_ref().map(|part| Rows::new(&part.1, nx));
+            let mut occlusion = self.occlusion.as_ref().map(|part| ShadeRows::new(&part.1, nx));
+            let mut shadow = self.shadow.as_ref().map(|part| ShadeRows::new(&part.1, nx));
             for (y, out) in slice.chunks_mut(nx).enumerate() {
                 let open = occlusion.as_mut().map_or(&[][..], |rows| rows.at(y, z));
                 let lit = shadow.as_mut().map_or(&[][..], |rows| rows.at(y, z));
@@ -179,16 +177,16 @@ impl Illumination {
     }
 }
 
-/// A shade at the middles of the voxels of one row after the other.
-struct Rows<'a> {
+/// A shade at the centres of voxels, row by row.
+struct ShadeRows<'a> {
     shade: &'a Shade,
-    /// For each voxel the cell before it and the share of the next.
+    /// For each voxel, the cell before it and the weight of the next.
     places: Vec<(u32, f32)>,
     across: Vec<f32>,
     row: Vec<f32>,
 }
 
-impl<'a> Rows<'a> {
+impl<'a> ShadeRows<'a> {
     fn new(shade: &'a Shade, nx: usize) -> Self {
         let places = (0..nx).map(|x| {
             let (cell, part) = place(shade, 0, x);
@@ -206,7 +204,7 @@ impl<'a> Rows<'a> {
             let (near, far) = (a + (b - a) * ty, c + (d - c) * ty);
             *across = near + (far - near) * tz;
         }
-        // Beyond the middle of the last cell its own share holds.
+        // Beyond the centre of the last cell its value continues.
         self.across[cx] = self.across[cx - 1];
         for (out, &(cell, part)) in self.row.iter_mut().zip(&self.places) {
             let (a, b) = (self.across[cell as usize], self.across[cell as usize + 1]);
@@ -216,17 +214,16 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Between which cells the middle of a voxel lies along an axis.
+/// The cells around the centre of a voxel along an axis.
 fn place(shade: &Shade, axis: usize, voxel: usize) -> (usize, f32) {
     let at =
         ((voxel as f32 + 0.5) / shade.voxels[axis] as f32 - 0.5).max(0.0).min(shade.dims[axis] as f32 - 1.0);
     (at as usize, at.fract())
 }
 
-/// Of matter that is not shaded, the share of light that comes from all around where it is shown: as of shaded matter that
-/// looks at the light.
+/// Ambient fraction of light for unshaded matter where shade is shown: that of shaded matter facing the light.
 const UNSHADED_AMBIENT: f32 = 0.25;
-/// Least part of the brightness without shade that a surface keeps: a third of it as sRGB shows it.
+/// Least fraction of its unshaded brightness that a surface keeps: a third of it in sRGB.
 const LEAST_OF_SURFACES: f32 = 0.1;
 
 #[cfg(test)]
@@ -300,7 +297,7 @@ mod tests {
         let lighting = Lighting { ambient_occlusion: 1.0, shadows: 1.0, ..OFF };
         let first = scene(true, lighting);
         let with = |lighting| first.with_look(&transfer(0.9), MarchSettings::of(true, lighting)).illumination;
-        let same = |a: &Option<Part>, b: &Option<Part>| match (a, b) {
+        let same = |a: &Option<GradedShade>, b: &Option<GradedShade>| match (a, b) {
             (Some(a), Some(b)) => Arc::ptr_eq(&a.1, &b.1),
             _ => false,
         };

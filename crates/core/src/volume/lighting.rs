@@ -1,25 +1,25 @@
-//! What a person may choose of the light: how deep matter lies in its own shade, and where the light is.
+//! The user's choices for lighting: the strength of shade, and the direction of the light.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-/// Where the light is, and how much of the shade of matter is shown. Light is fixed in the world, so a picture's colours
-/// do not depend on the view.
+/// Direction of the light, and strength of the shade. Light is fixed in the world, so colours do not depend on the
+/// view.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Lighting {
-    /// How much of the ambient occlusion is shown, 0 for none to 1.
+    /// Strength of ambient occlusion, 0 for none to 1.
     pub ambient_occlusion: f32,
-    /// How far matter occludes, in radii of the volume's bounding sphere, [`OCCLUSION_RADIUS_MIN`] to
+    /// Reach of occlusion, radii of the volume's bounding sphere, [`OCCLUSION_RADIUS_MIN`] to
     /// [`OCCLUSION_RADIUS_MAX`].
     pub occlusion_radius: f32,
-    /// How much of the light comes from the one source that throws shadows, 0 for no shadows to 1.
+    /// Fraction of the light that comes from the one source and throws shadows, 0 for none to 1.
     pub shadows: f32,
-    /// Angular radius of that source as seen from the volume, degrees, 0 to [`SOFTNESS_MAX_DEGREES`].
+    /// Angular radius of that source, degrees, 0 to [`SOFTNESS_MAX_DEGREES`].
     pub softness_degrees: f32,
-    /// Where the light comes from, as an orbit's azimuth: 0 from +z, 90 from +x; degrees, -180 to 180.
+    /// Direction of the light as an orbit's azimuth: 0 from +z, 90 from +x; degrees, -180 to 180.
     pub azimuth_degrees: f32,
-    /// As an orbit's elevation: 90 from +y; degrees, -90 to 90.
+    /// Direction of the light as an orbit's elevation: 90 from +y; degrees, -90 to 90.
     pub elevation_degrees: f32,
 }
 
@@ -27,13 +27,13 @@ pub struct Lighting {
 #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq)]
 #[error("{what} is {found}, expected {least} to {most}")]
 pub struct LightingError {
-    /// Which number.
+    /// Name of the number.
     pub what: &'static str,
-    /// What it is.
+    /// Its value.
     pub found: f32,
-    /// The least that is accepted.
+    /// Least accepted value.
     pub least: f32,
-    /// The most.
+    /// Greatest accepted value.
     pub most: f32,
 }
 
@@ -51,7 +51,7 @@ impl Default for Lighting {
 }
 
 impl Lighting {
-    /// Whether anything occludes: without, light falls through matter.
+    /// Whether there is any occlusion or shadow.
     pub fn is_on(&self) -> bool {
         self.ambient_occlusion > 0.0 || self.shadows > 0.0
     }
@@ -67,7 +67,7 @@ impl Lighting {
     pub fn towards(self, direction: Vec3) -> Self {
         let Some(d) = direction.try_normalize() else { return self };
         let elevation_degrees = d.y.clamp(-1.0, 1.0).asin().to_degrees();
-        // Straight above, the azimuth is kept: a drag over the pole comes out where it went in.
+        // Straight above, the azimuth is kept, so a drag over the pole comes out where it went in.
         let flat = d.x.hypot(d.z) > 1e-6;
         let azimuth_degrees = if flat { d.x.atan2(d.z).to_degrees() } else { self.azimuth_degrees };
         Self { azimuth_degrees, elevation_degrees, ..self }
@@ -76,7 +76,7 @@ impl Lighting {
     /// Checks that every number is in its range.
     ///
     /// # Errors
-    /// The first that is not.
+    /// The first one that is not.
     pub fn validate(&self) -> Result<(), LightingError> {
         let ranges = [
             ("ambient occlusion", self.ambient_occlusion, 0.0, 1.0),

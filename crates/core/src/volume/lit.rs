@@ -1,8 +1,8 @@
-//! Brightness of every voxel under a light that is fixed in the world, made once for a look.
+//! Brightness of every voxel under a light that is fixed in the world, computed once for a look.
 //!
-//! What a light does to matter depends neither on the view nor on the classification, only on the gradient. So it is
-//! worked out once for every voxel, kept in a byte, and a march interpolates it (Gouraud's shading, in three
-//! dimensions), which costs as much as one more sample instead of the 32 voxels and the square root of a gradient.
+//! What light does to matter depends only on the gradient, not on the view or the classification. So each voxel keeps
+//! it in a byte, and a march interpolates it (Gouraud shading in three dimensions). That costs one more sample, in
+//! place of the 32 voxels and the square root of a gradient.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -10,18 +10,18 @@ use rayon::prelude::*;
 use super::grid::{Volume, Voxels};
 use super::lighting::Lighting;
 
-/// Diffuse shading by the gradient, two-sided, from a light that is fixed in the world: the colour of matter does
-/// not depend on the view, as every layered frame assumes (Lochmann 2016, section 5: isotropic emission).
+/// Two-sided diffuse shading by the gradient, from a light fixed in the world. Colour does not depend on the view, as
+/// layered frames require (Lochmann 2016, section 5: isotropic emission).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shading {
-    /// Brightness of matter turned edge-on to the light.
+    /// Brightness of matter seen edge-on by the light.
     pub ambient: f32,
     /// Brightness added where the gradient points along the light.
     pub diffuse: f32,
     /// Unit direction towards the light, world space.
     pub light: Vec3,
-    /// Gradient, in domain positions a voxel, at which half of the shading acts; flatter matter gets the mean over all
-    /// directions, |cos| = ½.
+    /// Gradient at which half of the shading acts, domain positions per voxel. Flatter matter tends to the mean over
+    /// all directions, |cos| = ½.
     pub half_gradient: f32,
 }
 
@@ -31,19 +31,19 @@ impl Default for Shading {
     }
 }
 
-/// The lit share of every voxel, in units of 1/[`LIT_MAX`]: a voxel's brightness is ambient + diffuse·share.
+/// The diffuse share of every voxel, in units of 1/[`LIT_MAX`]: its brightness is ambient + diffuse·share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lit {
     /// The shares, x fastest.
     pub shares: Vec<u8>,
     /// Brightness of share 0.
     pub ambient: f32,
-    /// Brightness that a whole share adds.
+    /// Brightness added by a full share.
     pub diffuse: f32,
 }
 
 impl Lit {
-    /// Lights a volume by its gradients, in parallel. `x_scale`: domain positions a stored unit
+    /// Lights a volume by its gradients, in parallel. `x_scale`: domain positions per stored unit
     /// ([`x_scale`](crate::transfer::TransferTable::x_scale)).
     pub fn of(volume: &Volume, shading: Shading, x_scale: f32) -> Self {
         let shares = match volume.voxels() {
@@ -55,7 +55,7 @@ impl Lit {
     }
 }
 
-/// The share of every voxel of one volume, row by row.
+/// Computes the share of every voxel, row by row.
 fn light<T: Copy + Into<f32> + Sync>(
     voxels: &[T],
     volume: &Volume,
@@ -63,13 +63,13 @@ fn light<T: Copy + Into<f32> + Sync>(
     x_scale: f32,
 ) -> Vec<u8> {
     let [nx, ny, nz] = volume.dims().map(|d| d as usize);
-    // Only the direction counts: scaled so that no square overflows.
+    // Only the direction matters; this scale keeps squares from overflowing.
     let voxel_from_world = volume.spacing().min_element() / volume.spacing();
     let half_scale = 0.5 * x_scale;
     let half_squared = shading.half_gradient * shading.half_gradient;
     let mut shares = vec![0u8; voxels.len()];
     shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
-        let mut rows = Rows::new(nx);
+        let mut rows = RowDifferences::new(nx);
         for (y, out) in slice.chunks_mut(nx).enumerate() {
             let row = |y: usize, z: usize| &voxels[(z * ny + y) * nx..][..nx];
             rows.difference(
@@ -82,7 +82,7 @@ fn light<T: Copy + Into<f32> + Sync>(
                     .clamp(Vec3::splat(-GRADIENT_MAX), Vec3::splat(GRADIENT_MAX));
                 let strength = per_voxel.length_squared();
                 let normal = per_voxel * voxel_from_world;
-                // Without a gradient the weight is zero, whatever its direction; only nothing must be divided by zero.
+                // Without a gradient the weight is zero; the floor only avoids a division by zero.
                 let length = normal.length_squared().max(f32::MIN_POSITIVE).sqrt();
                 let lambert = normal.dot(shading.light).abs() / length;
                 let weight = strength / (strength + half_squared).max(f32::MIN_POSITIVE);
@@ -94,22 +94,22 @@ fn light<T: Copy + Into<f32> + Sync>(
     shares
 }
 
-/// Central differences along one row, twice the gradient: apart from what is made of them, so that both loops become
+/// Central differences along one row, twice the gradient. They have a loop of their own so that both loops compile to
 /// vector instructions.
-struct Rows {
+struct RowDifferences {
     dx: Vec<f32>,
     dy: Vec<f32>,
     dz: Vec<f32>,
 }
 
-impl Rows {
+impl RowDifferences {
     fn new(nx: usize) -> Self {
         let row = vec![0.0; nx];
         Self { dx: row.clone(), dy: row.clone(), dz: row }
     }
 
-    /// `here` is the row itself, `beside` and `across` its neighbours along y and z; beyond the grid the outermost
-    /// voxel counts again.
+    /// `here` is the row itself; `beside` and `across` are its neighbours along y and z. Beyond the grid the
+    /// outermost voxel repeats.
     fn difference<T: Copy + Into<f32>>(&mut self, here: &[T], beside: [&[T]; 2], across: [&[T]; 2]) {
         let difference = |a: &T, b: &T| (*b).into() - (*a).into();
         let n = here.len();
@@ -128,10 +128,10 @@ impl Rows {
     }
 }
 
-/// Units of a whole share.
+/// Units of a full share.
 pub const LIT_MAX: f32 = 255.0;
-/// Steepest gradient, in domain positions a voxel: its square is finite. Steeper ones are of domains far narrower than
-/// the values, where the surface is a face of voxels in any case.
+/// Steepest gradient, domain positions per voxel: its square is finite. Only domains far narrower than the values
+/// have steeper ones.
 const GRADIENT_MAX: f32 = 1e6;
 
 #[cfg(test)]

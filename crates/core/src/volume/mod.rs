@@ -1,5 +1,4 @@
-//! Scalar volumes: the grid of voxels, min/max bricks over it, its brightness under a light and in its own
-//! shade, closed-form fields and the built-in volumes.
+//! Scalar volumes: the voxel grid, min/max bricks, lighting and shade, closed-form fields and built-in volumes.
 
 mod bricks;
 mod classification;

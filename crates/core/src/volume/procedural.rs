@@ -1,7 +1,7 @@
 //! The built-in volumes: `cloud` (soft, translucent), `cubus` (opaque cubes), `shells` (thin nested surfaces).
 //!
-//! All are 8-bit, with sides of two world units, and made by a formula from the voxel's position alone: the same on
-//! every machine. The side in voxels can be chosen.
+//! All are 8-bit with sides of two world units. A formula of the voxel's position gives each value, so every machine
+//! makes the same ones. The side in voxels can be chosen.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -64,7 +64,7 @@ impl Builtin {
             .expect("the sides are bounded and the count is their product")
     }
 
-    /// Voxels along each side if none is named.
+    /// Default number of voxels along each side.
     pub const DEFAULT_SIDE: u32 = 128;
 }
 
@@ -88,7 +88,7 @@ fn cubus(p: Vec3, spacing: f32) -> f32 {
     let cell = ((p + 1.0) * 1.5).floor().clamp(Vec3::ZERO, Vec3::splat(2.0));
     let center = (cell + 0.5) / 1.5 - 1.0;
     let distance = (p - center).abs().max_element() - 0.2;
-    // One voxel of ramp: the band-limited cube, not a staircase.
+    // A ramp of one voxel band-limits the cube's faces.
     let inside = (0.5 - distance / spacing).clamp(0.0, 1.0);
     let number = cell.x + 3.0 * cell.y + 9.0 * cell.z;
     inside * (0.9 + 0.1 * ((number * 11.0) % 27.0) / 26.0)
@@ -116,7 +116,7 @@ fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Smooth noise in [0, 1] with lattice spacing 1: trilinear between hashed lattice values, with faded weights.
+/// Smooth noise in [0, 1] with lattice spacing 1: trilinear between hashed lattice values, with smoothed weights.
 fn value_noise(p: Vec3) -> f32 {
     let cell = p.floor();
     let t = p - cell;

@@ -1,10 +1,10 @@
-//! How much light reaches each cell of a grid of extinctions: the mean of transmittances along straight lines.
+//! The light that reaches each cell of an extinction grid: the mean of transmittances along straight lines.
 //!
-//! One direction takes one sweep through the grid, whatever the distance: lines that run in that direction through the
-//! points of one slice of cells are followed from slice to slice, and the optical depth from the volume's face on is
-//! summed along each. Their places in a slice differ from the cells' by the same shift, so a sum is mixed of four cells
-//! and a cell's value of four lines, once each: shadows do not spread on their way, as they do where each slice is
-//! mixed from the one before. The optical depth of a stretch is the difference of two sums.
+//! Each direction takes one sweep through the grid, whatever the distance. Parallel lines run through one slice of
+//! cells after the other, and each sums the optical depth from the volume's face. Within a slice all lines are offset
+//! from the cells by the same shift. So a sum mixes four cells, and a cell's value mixes four lines, once each.
+//! Shadows do not blur along the way, as they would if each slice were mixed from the previous one. The optical depth
+//! of an interval is the difference of two sums.
 
 use std::f32::consts::{LOG2_E, PI};
 
@@ -14,17 +14,17 @@ use rayon::prelude::*;
 use super::extinction::{Detail, Extinction};
 use super::lighting::Lighting;
 
-/// The stretch of a line that matters to the point it begins in.
+/// The interval of a line that shades its starting point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Stretch {
-    /// What is nearer does not count, in cells: a surface would shade itself.
+pub(crate) struct ShadingInterval {
+    /// Nearer matter does not count, in cells: a surface would shade itself.
     pub(crate) near_in_cells: f32,
-    /// Nor what is farther, world units, but no less than two cells more; infinity for all that there is.
+    /// Farther matter does not count either, world units, at least two cells more; infinity for no limit.
     pub(crate) far: f32,
 }
 
-impl Stretch {
-    /// From where to where in a direction, world units: cells need not be cubes.
+impl ShadingInterval {
+    /// Both ends in a direction, world units: cells need not be cubes.
     fn in_direction(self, extinction: &Extinction, towards: Vec3) -> [f32; 2] {
         let cell = (towards / extinction.cell).length().recip();
         let near = self.near_in_cells * cell;
@@ -32,7 +32,7 @@ impl Stretch {
     }
 }
 
-/// A share of light, 0 to 1, for every cell, x fastest.
+/// A light fraction, 0 to 1, for every cell, x fastest.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Shade {
     /// Cells along x, y, z.
@@ -44,17 +44,20 @@ pub(crate) struct Shade {
 }
 
 impl Shade {
-    /// Ambient occlusion: twice the mean over all directions of what comes through the matter within `radius` world units,
-    /// at most 1. So a flat opaque surface, which sees half of the sky, keeps its light, a right angle between two has half
-    /// of it, and a corner of three a quarter.
+    /// Ambient occlusion: twice the mean transmittance over all directions within `radius` world units, at most 1. So
+    /// a flat opaque surface, which sees half of the sky, keeps its light. A right angle has half of it, and a corner
+    /// a quarter.
     pub(crate) fn occlusion(extinction: &Extinction, radius: f32, detail: Detail) -> Self {
         let num = match detail {
             Detail::Draft => 24,
             Detail::Final => 64,
         };
         let directions: Vec<Vec3> = (0..num).map(|i| on_sphere(i, num)).collect();
-        let mut shade =
-            Self::mean(extinction, &directions, Stretch { near_in_cells: NEAR_IN_CELLS, far: radius });
+        let mut shade = Self::mean(
+            extinction,
+            &directions,
+            ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: radius },
+        );
         for share in &mut shade.shares {
             *share = (2.0 * *share).min(1.0);
         }
@@ -62,7 +65,7 @@ impl Shade {
         shade.smoothed(&clear).in_front(&clear)
     }
 
-    /// What reaches every cell of a light that fills a disc of the sky.
+    /// The fraction of light from a disc of the sky that reaches each cell.
     pub(crate) fn shadow(extinction: &Extinction, lighting: &Lighting, detail: Detail) -> Self {
         let num = match (lighting.softness_degrees > 0.0, detail) {
             (false, _) => 1,
@@ -71,12 +74,12 @@ impl Shade {
         };
         let radius = lighting.softness_degrees.to_radians();
         let directions: Vec<Vec3> = (0..num).map(|i| on_disc(lighting.direction(), radius, i, num)).collect();
-        let stretch = Stretch { near_in_cells: NEAR_IN_CELLS, far: f32::INFINITY };
+        let stretch = ShadingInterval { near_in_cells: NEAR_IN_CELLS, far: f32::INFINITY };
         Self::mean(extinction, &directions, stretch).in_front(&clear(extinction))
     }
 
-    /// The same with each clear cell the mean of those around, by binomial weights: a surface that runs askew through the
-    /// cells would have bands. Matter has no part in it.
+    /// Replaces each clear cell by a binomial mean of its clear neighbours. Otherwise a surface askew to the cells
+    /// would show bands.
     fn smoothed(self, clear: &[f32]) -> Self {
         let lit: Vec<f32> = clear.iter().zip(&self.shares).map(|(clear, share)| clear * share).collect();
         let [lit, weight] = [lit, clear.to_vec()].map(|numbers| smoothed(numbers, self.dims));
@@ -89,8 +92,8 @@ impl Shade {
         Self { shares, ..self }
     }
 
-    /// The same where cells have, as far as nothing is seen through them, the light of the clear ones beside: a surface
-    /// lies between two cells, and its light is that in front of it.
+    /// Gives opaque cells the light of the clear ones beside them: a surface lies between two cells, and its light is
+    /// that in front of it.
     fn in_front(self, clear: &[f32]) -> Self {
         let [nx, ny, nz] = self.dims;
         let mut shares = vec![0.0; clear.len()];
@@ -115,7 +118,7 @@ impl Shade {
                 add(y + 1 < ny, here + nx);
                 add(z > 0, here.wrapping_sub(nx * ny));
                 add(z + 1 < nz, here + nx * ny);
-                // Within matter there is none of it, and nobody sees what is there.
+                // Deep inside matter there are no clear cells, and nobody sees it.
                 let part = (1.0 - clear[here]) * (weight / WEIGHT_FULL).min(1.0);
                 *out += (sum / weight.max(f32::MIN_POSITIVE) - *out) * part;
             }
@@ -123,11 +126,11 @@ impl Shade {
         Self { shares, ..self }
     }
 
-    /// The mean transmittance along `directions`, towards which lines run from every cell.
-    pub(crate) fn mean(extinction: &Extinction, directions: &[Vec3], stretch: Stretch) -> Self {
+    /// The mean transmittance from every cell along `directions`.
+    pub(crate) fn mean(extinction: &Extinction, directions: &[Vec3], stretch: ShadingInterval) -> Self {
         let Extinction { dims, voxels, .. } = *extinction;
         let num_cells = extinction.sigma.len();
-        // Whole numbers, so that the sum does not depend on who adds first.
+        // Integer sums do not depend on the order of addition.
         let unit = (f32::from(u16::MAX) / directions.len() as f32).floor();
         let share = directions.len().div_ceil(rayon::current_num_threads().min(MAX_SUMS)).max(1);
         let sums = directions
@@ -149,13 +152,13 @@ impl Shade {
     }
 }
 
-/// How much is seen through each cell.
+/// Transmittance of each cell.
 fn clear(extinction: &Extinction) -> Vec<f32> {
     let length = extinction.cell.to_array().iter().product::<f32>().cbrt();
     extinction.sigma.par_iter().map(|sigma| exp_of_minus(sigma * length)).collect()
 }
 
-/// Numbers of cells, each the mean of 27 around by binomial weights; at the faces the outermost count again.
+/// Replaces each number by a binomial mean over 27 cells; at the faces the outermost repeat.
 fn smoothed(mut numbers: Vec<f32>, [nx, ny, nz]: [usize; 3]) -> Vec<f32> {
     let mut out = vec![0.0; numbers.len()];
     for (stride, num) in [(1, nx), (nx, ny), (nx * ny, nz)] {
@@ -173,7 +176,7 @@ fn smoothed(mut numbers: Vec<f32>, [nx, ny, nz]: [usize; 3]) -> Vec<f32> {
     numbers
 }
 
-/// Point `i` of `num` that are spread evenly over the sphere (spherical Fibonacci lattice).
+/// Point `i` of `num` evenly spread over the sphere (spherical Fibonacci lattice).
 fn on_sphere(i: usize, num: usize) -> Vec3 {
     let z = 1.0 - (2 * i + 1) as f32 / num as f32;
     let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
@@ -181,7 +184,7 @@ fn on_sphere(i: usize, num: usize) -> Vec3 {
     Vec3::new(flat * cos, flat * sin, z)
 }
 
-/// Point `i` of `num` that are spread evenly over a disc of the sky around `center` (Vogel 1979), `radius` in radians.
+/// Point `i` of `num` evenly spread over a disc of the sky around `center` (Vogel 1979), `radius` in radians.
 fn on_disc(center: Vec3, radius: f32, i: usize, num: usize) -> Vec3 {
     let (right, up) = center.any_orthonormal_pair();
     let away = radius.sin() * ((i as f32 + 0.5) / num as f32).sqrt();
@@ -190,14 +193,14 @@ fn on_disc(center: Vec3, radius: f32, i: usize, num: usize) -> Vec3 {
     center * (1.0 - away * away).sqrt() + (right * cos + up * sin) * away
 }
 
-/// Where the lines of one direction run. The axis along which they are followed is the one that they cross fastest, in
-/// cells; a and b are the other two.
+/// The lines of one direction. They advance along the axis on which they cross cells fastest; a and b are the other
+/// two.
 struct Sweep {
-    /// Axes a, b, and that of the slices.
+    /// The axes a, b and that of the slices.
     axes: [usize; 3],
-    /// Whether the light comes from the high end of the axis of the slices.
+    /// Whether the light comes from the high end of the slice axis.
     from_high: bool,
-    /// Cells along a and b that a line moves from a slice to the next.
+    /// Cells along a and b that a line moves per slice.
     drift: [f32; 2],
     /// Length of a line between two slices, world units.
     length: f32,
@@ -219,13 +222,13 @@ impl Sweep {
         Self { axes, from_high: towards[slices] > 0.0, length: fastest.recip(), drift, towards }
     }
 
-    /// Adds what comes through to every cell, in units of 1/`unit`.
-    fn run(&self, extinction: &Extinction, stretch: Stretch, unit: f32, sums: &mut [u16]) {
+    /// Adds the transmittance to every cell, in units of 1/`unit`.
+    fn run(&self, extinction: &Extinction, stretch: ShadingInterval, unit: f32, sums: &mut [u16]) {
         let dims = extinction.dims;
         let strides = [1, dims[0], dims[0] * dims[1]];
         let [a, b, slices] = self.axes;
         let (num_a, num_b, num_slices) = (dims[a], dims[b], dims[slices]);
-        let mut cells = Cells::new(num_a, num_b);
+        let mut cells = PaddedSlice::new(num_a, num_b);
         let ends = stretch.in_direction(extinction, self.towards);
         let mut depths = Depths::new([num_a + 1, num_b + 1], num_slices, ends, self.length);
         let mut through = vec![0.0f32; num_a + 1];
@@ -233,8 +236,8 @@ impl Sweep {
         for t in 0..num_slices {
             let slice = if self.from_high { num_slices - 1 - t } else { t };
             cells.read(&extinction.sigma, slice * strides[slices], [strides[a], strides[b]]);
-            let [place_a, place_b] = [0, 1].map(|i| Place::at(self.drift[i] * t as f32));
-            // The first line that passes a cell of this slice, or runs beside one: number 0 is that of the first slice.
+            let [place_a, place_b] = [0, 1].map(|i| CellShift::at(self.drift[i] * t as f32));
+            // The first line at or beside a cell of this slice; number 0 is the first of the first slice.
             let first = [-place_a.whole, -place_b.whole];
             depths.advance(&cells, first, [place_a.part, place_b.part], self.length);
             depths.transmittances(0, &mut through);
@@ -263,33 +266,33 @@ impl Sweep {
     }
 }
 
-/// A shift in whole cells and a part of one.
-struct Place {
+/// A shift as whole cells and a fraction.
+struct CellShift {
     whole: isize,
     part: f32,
 }
 
-impl Place {
+impl CellShift {
     fn at(shift: f32) -> Self {
         let whole = shift.floor();
         Self { whole: whole as isize, part: shift - whole }
     }
 }
 
-/// out[i] is what lies between the numbers i and i + 1 of `lines`, `part` of the way from the second to the first.
+/// Sets out[i] between the numbers i and i + 1 of `lines`, at `part` from the second to the first.
 fn mix_neighbours(lines: &[f32], part: f32, out: &mut [f32]) {
     for (out, (x, y)) in out.iter_mut().zip(lines.iter().zip(&lines[1..])) {
         *out = y + (x - y) * part;
     }
 }
 
-/// The extinctions of a slice, with an empty cell around.
-struct Cells {
+/// The extinctions of a slice, with a border of empty cells.
+struct PaddedSlice {
     num: [usize; 2],
     sigma: Vec<f32>,
 }
 
-impl Cells {
+impl PaddedSlice {
     fn new(num_a: usize, num_b: usize) -> Self {
         Self { num: [num_a, num_b], sigma: vec![0.0; (num_a + 2) * (num_b + 2)] }
     }
@@ -307,41 +310,41 @@ impl Cells {
         }
     }
 
-    /// Row `j` of those with empty ones around.
+    /// Row `j` of those, with the border.
     fn row(&self, j: usize) -> &[f32] {
         let width = self.num[0] + 2;
         &self.sigma[j * width..][..width]
     }
 }
 
-/// The optical depths along the lines that pass the newest slice, from where they enter the grid.
+/// Optical depths along the lines through the newest slice, from where they enter the grid.
 ///
-/// Lines are numbered over the whole sweep; a slice has those from its own first on. One that had not entered at an
-/// earlier slice has no depth there.
+/// Lines are numbered over the whole sweep; a slice has those from its own first on. A line that had not entered by
+/// an earlier slice has no depth there.
 struct Depths {
-    /// Lines of a slice along a and b.
+    /// Number of lines in a slice along a and b.
     num: [usize; 2],
-    /// To the end of the newest slice.
-    whole: Layer,
-    spare: Layer,
-    /// To the middles of slices, the newest at `newest`, those before it behind, and around the end.
-    middles: Vec<Layer>,
+    /// Depths at the end of the newest slice.
+    whole: LineValues,
+    spare: LineValues,
+    /// Depths at the middles of slices in a ring: the newest is at `newest`, older ones follow.
+    middles: Vec<LineValues>,
     newest: usize,
-    /// Where the stretch begins and ends, in slices before the newest. No end: all that there is.
+    /// The ends of the interval, in slices before the newest; no far end means everything.
     near: (usize, f32),
     far: Option<(usize, f32)>,
     rows: [Vec<f32>; 4],
 }
 
-/// A number for each line of a slice.
+/// One number for each line of a slice.
 #[derive(Clone)]
-struct Layer {
+struct LineValues {
     first: [isize; 2],
     numbers: Vec<f32>,
 }
 
-impl Layer {
-    /// The numbers of the lines from `first` on, `row` rows further; 0 for those that are not here.
+impl LineValues {
+    /// Reads the numbers of the lines from `first` on, `row` rows further; 0 for lines that are absent.
     fn read(&self, num: [usize; 2], first: [isize; 2], row: usize, out: &mut [f32]) {
         let row = row as isize + first[1] - self.first[1];
         let shift = first[0] - self.first[0];
@@ -360,7 +363,7 @@ impl Layer {
 }
 
 impl Depths {
-    /// Of lines that are `length` long between two of `num_slices`.
+    /// Starts lines that are `length` long between two of `num_slices`.
     fn new(num: [usize; 2], num_slices: usize, stretch: [f32; 2], length: f32) -> Self {
         let split = |distance: f32| {
             let slices = distance / length;
@@ -369,7 +372,7 @@ impl Depths {
         let far = Some(stretch[1]).filter(|far| far / length < num_slices as f32).map(split);
         let near = split(stretch[0]);
         let num_kept = far.map_or(near.0, |far| far.0.max(near.0)) + 2;
-        let empty = Layer { first: [0; 2], numbers: vec![0.0; num[0] * num[1]] };
+        let empty = LineValues { first: [0; 2], numbers: vec![0.0; num[0] * num[1]] };
         let rows = std::array::from_fn(|_| vec![0.0; num[0]]);
         Self {
             num,
@@ -383,8 +386,8 @@ impl Depths {
         }
     }
 
-    /// Goes on by a slice, in which line `first` runs `part` behind cell −1.
-    fn advance(&mut self, cells: &Cells, first: [isize; 2], part: [f32; 2], length: f32) {
+    /// Advances by a slice in which line `first` runs `part` behind cell −1.
+    fn advance(&mut self, cells: &PaddedSlice, first: [isize; 2], part: [f32; 2], length: f32) {
         self.newest = (self.newest + self.middles.len() - 1) % self.middles.len();
         std::mem::swap(&mut self.whole, &mut self.spare);
         let (num, middle) = (self.num, &mut self.middles[self.newest]);
@@ -403,7 +406,7 @@ impl Depths {
         }
     }
 
-    /// What comes through the stretch that ends in the newest slice, along the lines of its row `row`.
+    /// Transmittances of the intervals that end in the newest slice, along the lines of its row `row`.
     fn transmittances(&mut self, row: usize, out: &mut [f32]) {
         let first = self.whole.first;
         let ring = self.middles.len();
@@ -430,29 +433,29 @@ impl Depths {
     }
 }
 
-/// e^−x for x ≥ 0, to 10⁻⁵ of itself: no call, so that loops become vector instructions.
+/// e^−x for x ≥ 0, to a relative 10⁻⁵; it calls nothing, so loops compile to vector instructions.
 #[inline(always)]
 fn exp_of_minus(x: f32) -> f32 {
     let x = (x * LOG2_E).clamp(0.0, 40.0);
     let whole = x as i32;
     let part = x - whole as f32;
-    // 2^−part, by a polynomial that is right at both ends.
+    // 2^−part, by a polynomial that is exact at both ends.
     let power = 1.0 - part * (0.693084 - part * (0.239528 - part * (0.053286 - part * 0.006842)));
     f32::from_bits(((127 - whole) as u32) << 23) * power
 }
 
-/// What is nearer than so many cells does not shade: the light of a surface is that in front of it, and a cell of it has
-/// matter on either side of its middle.
+/// Matter nearer than this does not shade, in cells: a surface's light is that in front of it, and its cell has
+/// matter on both sides of its centre.
 const NEAR_IN_CELLS: f32 = 1.25;
-/// A cell through which more than so much is seen keeps its own light.
+/// A cell with more transmittance than this keeps its own light.
 const CLEAR: f32 = 0.98;
-/// Among less clear cells than this a cell keeps its own light.
+/// A cell keeps its own light among fewer clear cells than this.
 const WEIGHT_LEAST: f32 = 1e-3;
-/// Clear cells beside one of which the light is taken: one of six.
+/// Weight of clear neighbours from which their light counts fully: one of six.
 const WEIGHT_FULL: f32 = 0.5;
-/// Threads that add for themselves, two bytes a cell.
+/// Most threads with sums of their own, two bytes per cell.
 const MAX_SUMS: usize = 16;
-/// A slice that nothing comes through is no denser than this, so that sums keep their precision.
+/// Greatest optical depth of a slice, so that sums keep their precision.
 const TAU_MAX: f32 = 32.0;
 const GOLDEN_ANGLE: f32 = PI * (3.0 - 2.236_068);
 

@@ -1,8 +1,10 @@
 //! The messages of the control stream.
 //!
-//! A message is a little-endian `u32` length, at most [`MAX_CONTROL_BYTES`], and so many bytes: the message in
-//! bincode 2 (standard configuration: variable-length little-endian integers). Both sides check every message with
-//! its `validate` before using it. Adding a variant at the end of an enum is a new protocol version too.
+//! A message is a little-endian `u32` length, at most [`MAX_CONTROL_BYTES`], and that many bytes in bincode 2
+//! (standard configuration: variable-length little-endian integers). A message above 1024 bytes (a histogram, a list
+//! of parts, a long look) is sent as a Zstandard frame if that is shorter. A reader knows it by the format's magic
+//! number, with which no message begins. Both sides call `validate` on every message before using it. A new variant
+//! needs a new protocol version, even at the end of an enum.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -17,16 +19,16 @@ use crate::look::{Look, LookError, MAX_NAME_BYTES};
 use crate::space::Aabb;
 use crate::volume::{Histogram, Placement, Volume};
 
-/// What a client says. [`ClientMessage::Hello`] comes first and once.
+/// A message of the client. [`ClientMessage::Hello`] comes first and once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum ClientMessage {
-    /// Who wants in.
+    /// Requests admission.
     Hello {
         /// The client's [`PROTOCOL_VERSION`].
         protocol: u32,
         /// The token of the link, or the ticket of the last welcome.
         token: Token,
-        /// A secret that this client keeps for as long as it runs: a token that has let it in lets in no other.
+        /// A secret that this client keeps while it runs. It alone can use its token again.
         instance: Token,
         /// Name of the client, for the server's log.
         name: String,
@@ -35,36 +37,36 @@ pub enum ClientMessage {
     SetLook(Look),
     /// How the client fares.
     Stats(ClientStats),
-    /// The client leaves on its own will.
+    /// The client leaves by its own choice.
     Bye,
     /// Asks for another part of the file, for all viewers.
     Select(Part),
-    /// The part that is being read is not wanted any more.
+    /// The part that is being read is no longer wanted.
     CancelSelection,
     /// Asks for the value at a point.
     Probe(ProbeRequest),
     /// Asks for a picture to keep.
     TakeScreenshot(ScreenshotRequest),
-    /// The picture that was asked for is no longer wanted.
+    /// The requested picture is no longer wanted.
     CancelScreenshot,
 }
 
-/// What a server says. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
+/// A message of the server. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum ServerMessage {
-    /// The client is in.
+    /// The client is admitted.
     Welcome(Box<Welcome>),
     /// Frames from now on have this look.
     LookChanged {
-        /// Number of the look, named by the frames.
+        /// Version of the look, which frames name.
         version: LookVersion,
         /// The look.
         look: Look,
-        /// Whether frames of this number show a draft of it: another number, or the same with no draft, follows. Such a
-        /// frame is never the final picture.
+        /// Whether frames of this version show a draft of it. Another version, or the same without a draft, follows.
+        /// A draft is never the final picture.
         is_draft: bool,
     },
-    /// The client is not let in, or is sent away; the connection closes after this.
+    /// The client is refused or dismissed; the connection closes after this.
     Refused(Refusal),
     /// One line for the person at the viewer.
     Notice(String),
@@ -72,40 +74,40 @@ pub enum ServerMessage {
     Stats(ServerStats),
     /// Frames from now on show another volume.
     VolumeChanged(Box<VolumeChange>),
-    /// What else the file holds.
+    /// What the file holds.
     Choices(Box<Choices>),
-    /// How the reading of another part stands.
+    /// The progress of reading another part.
     Load(LoadStatus),
-    /// What is at a point.
+    /// The value at a point.
     Probed(Probed),
-    /// A picture that was asked for will not come.
+    /// A requested picture will not come.
     ScreenshotFailed {
         /// The request.
         id: ScreenshotId,
-        /// One line for the person.
+        /// One line for the user.
         why: String,
     },
 }
 
-/// Another volume takes the place of the one that was shown.
+/// Another volume replaces the one that was shown.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VolumeChange {
     /// The volume.
     pub volume: VolumeDescription,
-    /// Frames of this look or a later one are of this volume, all others of the one before.
+    /// Frames of this look version or a later one show this volume, all others the previous one.
     pub look_version: LookVersion,
     /// The look.
     pub look: Look,
 }
 
-/// All that a viewer must know to begin.
+/// Everything that a viewer must know to begin.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Welcome {
-    /// Takes the place of the token the next time this client connects.
+    /// Replaces the token for this client's next connection.
     pub ticket: Token,
     /// The volume.
     pub volume: VolumeDescription,
-    /// Number of the look.
+    /// Version of the look.
     pub look_version: LookVersion,
     /// The look.
     pub look: Look,
@@ -115,7 +117,7 @@ pub struct Welcome {
     pub max_poses_per_second: u32,
 }
 
-/// What a viewer is told of the volume.
+/// The viewer's description of the volume.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VolumeDescription {
     /// File name or name of the built-in volume.
@@ -126,18 +128,18 @@ pub struct VolumeDescription {
     pub spacing: [f32; 3],
     /// Unit of the spacing, if known.
     pub unit: Option<String>,
-    /// Where the axes point, such as `RAS`, if known.
+    /// Directions of the axes, such as `RAS`, if known.
     pub orientation: Option<String>,
-    /// Where the volume lies in the world of its file, if known.
+    /// Position of the volume in the world of its file, if known.
     pub placement: Option<Placement>,
     /// Unit of the values, if known.
     pub value_unit: Option<String>,
     /// Least and greatest value.
     pub value_range: (f32, f32),
-    /// Between which values the bins of the histogram are: the value range, or less where a few voxels lie far away from all
-    /// others. Those are counted in the first and the last bin.
+    /// The range that the histogram's bins cover: the value range, or less if a few voxels lie far away. The first
+    /// and the last bin count those.
     pub histogram_range: (f32, f32),
-    /// Voxels in at most [`MAX_BINS`] equal bins.
+    /// Number of voxels in each of at most [`MAX_BINS`] equal bins.
     pub histogram: Vec<u64>,
 }
 
@@ -146,13 +148,13 @@ pub struct VolumeDescription {
 pub struct ClientStats {
     /// Frames shown in the last second.
     pub frames_per_second: f32,
-    /// From pose set to frame shown, µs, for the newest frame.
+    /// Time from setting the pose to showing its frame, µs, for the newest frame.
     pub age_micros: u64,
     /// Time of one novel view, µs.
     pub novel_view_micros: u64,
 }
 
-/// What a frame cost the server.
+/// The cost of a frame at the server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ServerStats {
     /// The frame.
@@ -161,20 +163,20 @@ pub struct ServerStats {
     pub pose: PoseId,
     /// The stamp of that pose, echoed.
     pub pose_stamp_micros: u64,
-    /// Marching and layering, µs.
+    /// Time for marching and layering, µs.
     pub generate_micros: u64,
-    /// Encoding, µs.
+    /// Time for encoding, µs.
     pub encode_micros: u64,
-    /// Encoded length of all chunks.
+    /// Length of all encoded chunks, bytes.
     pub bytes: u64,
-    /// Segments in the frame.
+    /// Number of segments in the frame.
     pub segments: u64,
 }
 
-/// Why a client is not let in. The text is what the person at the viewer reads.
+/// Why a client is not admitted. The user at the viewer reads this text.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Refusal {
-    /// Nobody was given this token.
+    /// The token does not exist.
     #[error("the server does not know the token of this link; copy the link it printed last")]
     UnknownToken,
     /// Another viewer has used the token.
@@ -193,13 +195,13 @@ pub enum Refusal {
     /// No place is free.
     #[error("the server is full: all {0} places are taken")]
     Full(u32),
-    /// The client did not follow the protocol.
+    /// The client broke the protocol.
     #[error("protocol violation: {0}")]
     Protocol(String),
 }
 
 impl Refusal {
-    /// Whether asking again later, with nothing changed, may succeed.
+    /// Whether the same request may succeed later.
     pub fn is_temporary(&self) -> bool {
         matches!(self, Self::Full(_))
     }
@@ -217,6 +219,9 @@ pub enum ControlError {
     /// A message could not be written.
     #[error("a control message that does not encode: {0}")]
     Encode(#[from] bincode::error::EncodeError),
+    /// The Zstandard frame does not decode, or holds more than a message may.
+    #[error("a control message that does not unpack: {0}")]
+    Packing(#[from] std::io::Error),
     /// Bytes are left after the message.
     #[error("a control message with {0} bytes too many")]
     Trailing(usize),
@@ -231,12 +236,12 @@ pub enum ControlError {
     Look(#[from] LookError),
 }
 
-/// A message that can be checked; both directions have one type.
+/// A message that can be checked.
 pub trait Message: Serialize + DeserializeOwned {
-    /// Checks what the types cannot say.
+    /// Checks what the types cannot express.
     ///
     /// # Errors
-    /// The first promise broken.
+    /// The first rule that it breaks.
     fn validate(&self) -> Result<(), ControlError>;
 }
 
@@ -345,12 +350,19 @@ impl VolumeDescription {
 /// A message with its length in front.
 ///
 /// # Errors
-/// If the message breaks its own promises or is too long: the peer would hang up.
+/// If the message is invalid or too long: the peer would hang up.
 pub fn encode<M: Message>(message: &M) -> Result<Vec<u8>, ControlError> {
     message.validate()?;
-    let body = bincode::serde::encode_to_vec(message, bincode::config::standard())?;
+    let mut body = bincode::serde::encode_to_vec(message, bincode::config::standard())?;
+    check_length(body.len())?;
+    if body.len() > PACKED_ABOVE_BYTES {
+        let packed = zstd::bulk::compress(&body, 0)?;
+        if packed.len() < body.len() {
+            body = packed;
+        }
+    }
     let mut out = Vec::with_capacity(4 + body.len());
-    out.extend_from_slice(&(check_length(body.len())? as u32).to_le_bytes());
+    out.extend_from_slice(&(body.len() as u32).to_le_bytes());
     out.extend_from_slice(&body);
     Ok(out)
 }
@@ -363,12 +375,17 @@ pub fn body_length(prefix: [u8; 4]) -> Result<usize, ControlError> {
     check_length(u32::from_le_bytes(prefix) as usize)
 }
 
-/// Reads a message, without the length in front of it.
+/// Reads a message without its length.
 ///
 /// # Errors
-/// If the bytes are no message, are followed by others, or break a promise of the message.
+/// If the bytes are no message, are too many, or break a rule of the message.
 pub fn decode<M: Message>(body: &[u8]) -> Result<M, ControlError> {
     check_length(body.len())?;
+    let unpacked = match body.starts_with(&zstd::zstd_safe::MAGICNUMBER.to_le_bytes()) {
+        true => zstd::bulk::decompress(body, MAX_CONTROL_BYTES)?,
+        false => Vec::new(),
+    };
+    let body = if unpacked.is_empty() { body } else { &unpacked };
     let config = bincode::config::standard().with_limit::<MAX_CONTROL_BYTES>();
     let (message, used): (M, usize) = bincode::serde::decode_from_slice(body, config)?;
     if used != body.len() {
@@ -378,7 +395,7 @@ pub fn decode<M: Message>(body: &[u8]) -> Result<M, ControlError> {
     Ok(message)
 }
 
-/// A text as it can go into a [`ServerMessage::Notice`]: one line, cut where it is too long.
+/// Makes a text fit for a [`ServerMessage::Notice`]: one line, cut if too long.
 pub fn one_line(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_NOTICE_BYTES / 4).collect()
 }
@@ -393,7 +410,7 @@ fn check_length(length: usize) -> Result<usize, ControlError> {
     if (1..=MAX_CONTROL_BYTES).contains(&length) { Ok(length) } else { Err(ControlError::Length(length)) }
 }
 
-/// Texts of a peer reach a terminal: control characters could rewrite it.
+/// Texts of a peer reach a terminal, where control characters could rewrite the screen.
 pub(super) fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlError> {
     if s.len() > max_bytes || s.chars().any(char::is_control) {
         Err(ControlError::Text(what))
@@ -402,10 +419,12 @@ pub(super) fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), 
     }
 }
 
-/// Bins of a description's histogram: forty in a window of a hundredth of the range. Of nine bytes each they leave room in a
-/// message.
+/// Most bins in a description's histogram. A window of a hundredth of the range gets forty. A bin takes at most nine
+/// bytes, so they leave room in a message.
 pub const MAX_BINS: usize = 4096;
-/// Longest notice.
+/// Longest message that is sent as it is, bytes.
+const PACKED_ABOVE_BYTES: usize = 1024;
+/// Longest notice, bytes.
 pub(super) const MAX_NOTICE_BYTES: usize = 2000;
 
 #[cfg(test)]
@@ -494,6 +513,22 @@ mod tests {
                 let _ = decode::<ClientMessage>(&bytes);
             }
         }
+    }
+
+    /// A histogram packs, short messages stay readable as they are, and a small frame cannot claim much memory.
+    #[test]
+    fn long_messages_are_packed_within_bounds() {
+        let magic = zstd::zstd_safe::MAGICNUMBER.to_le_bytes();
+        let ServerMessage::Welcome(mut w) = messages().swap_remove(0) else { panic!("no welcome") };
+        w.volume.histogram = (0..2000).map(|i| 100_000 / (i % 100 + 1)).collect();
+        let plain =
+            bincode::serde::encode_to_vec(ServerMessage::Welcome(w.clone()), bincode::config::standard());
+        let bytes = encode(&ServerMessage::Welcome(w)).unwrap();
+        assert!(bytes[4..].starts_with(&magic) && bytes.len() * 2 < plain.unwrap().len());
+        assert!(messages().iter().all(|m| !encode(m).unwrap()[4..].starts_with(&magic)));
+        let bomb = zstd::bulk::compress(&vec![0; 100 * MAX_CONTROL_BYTES], 3).unwrap();
+        assert!(bomb.len() < MAX_CONTROL_BYTES);
+        assert!(matches!(decode::<ServerMessage>(&bomb), Err(ControlError::Packing(_))));
     }
 
     #[test]

@@ -27,9 +27,9 @@ pub use screenshot::ScreenshotRequest;
 pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use token::{Token, TokenError};
 
-/// Version of everything that is said on a connection.
+/// Version of the protocol on a connection.
 pub const PROTOCOL_VERSION: u32 = 11;
-/// What both sides name in the TLS handshake: peers of another version do not get further.
+/// Protocol name in the TLS handshake: peers of another version get no further.
 pub const ALPN: &[u8] = b"isinglass/11";
-/// Longest control message.
+/// Length of the longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

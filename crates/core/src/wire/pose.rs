@@ -19,36 +19,36 @@ use glam::{Quat, Vec3};
 use crate::camera::{Intrinsics, MAX_SIDE, Pose, Projection};
 use crate::ids::{FrameId, PoseId};
 
-/// A client's wish for a frame: the newest one wins.
+/// A client's request for a frame: the newest one wins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseRequest {
     /// Number of the pose, ascending, not 0.
     pub id: PoseId,
-    /// The client's clock when the pose was set, µs. Meaningless to the server, which only echoes it.
+    /// The client's clock when the pose was set, µs. The server only echoes it.
     pub stamp_micros: u64,
-    /// Where the frame shall be seen from.
+    /// The camera of the frame.
     pub pose: Pose,
     /// Size and projection of the frame.
     pub intrinsics: Intrinsics,
     /// The newest frame whose base is complete at the client.
     pub newest_complete: Option<FrameId>,
-    /// While the client's camera moves, how far it is turned from that of the frame it shows, about the middle of the volume,
-    /// whole degrees up to [`MAX_SHOWN_TURN_DEG`]. None at rest, and where it shows no frame or an exact one.
+    /// How far the client's moving camera is turned from that of the shown frame, about the volume's centre. Whole
+    /// degrees up to [`MAX_SHOWN_TURN_DEG`]. `None` at rest, and without a frame or with an exact one.
     pub shown_turn_deg: Option<u8>,
-    /// What decoding takes the client of late, ns a list; 0: it is not known.
+    /// The client's recent decoding time, ns per list; 0 if unknown.
     pub decode_nanos_per_list: u16,
 }
 
 /// Why a datagram is not a pose.
 #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum PoseError {
-    /// The datagram has another length.
+    /// The datagram has a wrong length.
     #[error("a pose datagram has {0} bytes, expected {POSE_BYTES}")]
     Length(usize),
-    /// The first byte is another.
+    /// The first byte is wrong.
     #[error("datagram of kind {0}, expected {KIND}")]
     Kind(u8),
-    /// The id is not what it must be.
+    /// The id is not valid.
     #[error("a pose datagram with a wrong {0}")]
     Field(&'static str),
     /// A number is not finite or out of range.
@@ -57,7 +57,7 @@ pub enum PoseError {
 }
 
 impl PoseRequest {
-    /// A view alone, with nothing said of the one who asks for it.
+    /// A view alone, without a report of the client.
     pub fn of_view(pose: Pose, intrinsics: Intrinsics) -> Self {
         Self {
             id: PoseId(1),
@@ -91,8 +91,8 @@ impl PoseRequest {
     /// Reads a datagram.
     ///
     /// # Errors
-    /// Anything that the server could not render: other lengths and kinds, numbers that are not finite, a rotation
-    /// that is not of unit length, an empty or too large picture.
+    /// If the server could not render it: wrong length or kind, numbers that are not finite, a rotation that is not
+    /// of unit length, or an empty or too large picture.
     pub fn decode(bytes: &[u8]) -> Result<Self, PoseError> {
         let bytes: &[u8; POSE_BYTES] = bytes.try_into().map_err(|_| PoseError::Length(bytes.len()))?;
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
@@ -121,10 +121,10 @@ impl PoseRequest {
         Ok(request)
     }
 
-    /// Whether the request can be sent and rendered.
+    /// Checks whether the request can be sent and rendered.
     ///
     /// # Errors
-    /// Names the first number that cannot be used.
+    /// Names the first invalid number.
     pub fn validate(&self) -> Result<(), PoseError> {
         let i = &self.intrinsics;
         let side = 1..=MAX_SIDE;
@@ -146,7 +146,7 @@ impl PoseRequest {
 
 /// Length of a pose datagram: far below the 1200 bytes that every QUIC path carries.
 pub const POSE_BYTES: usize = 56;
-/// As far as two directions can be apart.
+/// Greatest angle between two directions.
 pub const MAX_SHOWN_TURN_DEG: u8 = 180;
 /// First byte of a pose datagram.
 const KIND: u8 = 1;

@@ -1,4 +1,4 @@
-//! What is at a point of the volume: asked by the client, answered by the server.
+//! The value at a point of the volume: the client asks, and the server answers.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -7,12 +7,12 @@ use super::control::ControlError;
 use crate::ids::ProbeId;
 use crate::volume::Volume;
 
-/// Asks for the value at a point. Of several that wait the newest is answered.
+/// Asks for the value at a point. Of several waiting questions, the newest is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProbeRequest {
     /// Number of the question.
     pub id: ProbeId,
-    /// The point, world space.
+    /// The point in world space.
     pub point: [f32; 3],
 }
 
@@ -21,16 +21,16 @@ pub struct ProbeRequest {
 pub struct Probed {
     /// Number of the question.
     pub id: ProbeId,
-    /// The point that was asked for.
+    /// The point of the question.
     pub point: [f32; 3],
-    /// What is there; none outside of the volume.
+    /// The voxel there; `None` outside the volume.
     pub voxel: Option<ProbedVoxel>,
 }
 
-/// A voxel and what it holds.
+/// A voxel and its value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProbedVoxel {
-    /// Its numbers along x, y and z, from 0.
+    /// Its indices along x, y and z, from 0.
     pub index: [u32; 3],
     /// Its value.
     pub value: f32,
@@ -42,7 +42,7 @@ impl ProbeRequest {
         check_point(self.point)
     }
 
-    /// The answer of a volume.
+    /// Looks the answer up in a volume.
     pub fn answer(&self, volume: &Volume) -> Probed {
         let (bounds, point) = (volume.bounds(), Vec3::from_array(self.point));
         let is_inside = point.cmpge(bounds.min).all() && point.cmple(bounds.max).all();

@@ -12,22 +12,22 @@ use super::control::ControlError;
 use super::pose::PoseRequest;
 use crate::ids::ScreenshotId;
 
-/// Asks for a picture under the look that was asked for last. A later request takes the place of one that is not answered.
+/// Requests a picture with the look that was requested last. A later request replaces one that is not answered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScreenshotRequest {
     /// Number of the request.
     pub id: ScreenshotId,
-    /// The view: the bytes of a pose datagram, of which pose, size and field of view count.
+    /// The view: the bytes of a pose datagram, of which only pose, size and field of view matter.
     pub view: Vec<u8>,
-    /// sRGB behind the volume.
+    /// Background behind the volume, sRGB.
     pub background: [u8; 3],
 }
 
 impl ScreenshotRequest {
-    /// The view that is asked for.
+    /// The requested view.
     ///
     /// # Errors
-    /// If it is none, or larger than is rendered.
+    /// If the bytes are no view, or a larger one than can be rendered.
     pub fn view(&self) -> Result<PoseRequest, ControlError> {
         let view = PoseRequest::decode(&self.view).map_err(|_| ControlError::Value("view of a picture"))?;
         if view.intrinsics.num_pixels() > MAX_SCREENSHOT_PIXELS {
@@ -45,20 +45,20 @@ pub fn screenshot_header(id: ScreenshotId) -> [u8; SCREENSHOT_HEADER_BYTES] {
     header
 }
 
-/// The request that a stream answers; none if these are not the first bytes of such a stream.
+/// The request that a stream answers; `None` if the header is not that of a screenshot.
 pub fn screenshot_id(header: &[u8]) -> Option<ScreenshotId> {
     let header: &[u8; SCREENSHOT_HEADER_BYTES] = header.first_chunk()?;
     let id = u32::from_le_bytes([header[4], header[5], header[6], header[7]]);
     (header[..4] == SCREENSHOT_MAGIC).then_some(ScreenshotId(id))
 }
 
-/// What the stream of a picture begins with.
+/// First bytes of a screenshot's stream.
 pub const SCREENSHOT_MAGIC: [u8; 4] = *b"IGLS";
 /// Bytes before the PNG file.
 pub const SCREENSHOT_HEADER_BYTES: usize = 8;
 /// Pixels of the largest picture: 7680×4320 and a little more.
 pub const MAX_SCREENSHOT_PIXELS: usize = 1 << 25;
-/// Bytes of the longest stream: three a pixel, and what PNG puts around them.
+/// Bytes of the longest stream: three per pixel, and the overhead of PNG.
 pub const MAX_SCREENSHOT_BYTES: usize = 3 * MAX_SCREENSHOT_PIXELS + (1 << 20);
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
-//! What a file holds beside the volume that is shown, and how a viewer asks for another part of it.
+//! What a file holds beside the shown volume, and how a viewer requests another part of it.
 //!
-//! All viewers of a server look at one part. Any of them may ask for another; the server reads it beside the one that is
-//! shown, tells everyone how far it is, and when it is there everyone gets its description.
+//! All viewers of a server see one part. Any of them may request another. The server reads it while it shows the
+//! present one, and reports its progress to everyone. When it is there, everyone gets its description.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,8 +10,8 @@ use super::control::text;
 use crate::ids::LoadId;
 use crate::look::MAX_NAME_BYTES;
 
-/// A part of a file. What is not named is what opens by itself: the first channel and time, the finest level that fits into
-/// memory, the largest series, all of its voxels.
+/// A part of a file. A field without a value stands for the default: the first channel and time, the finest level
+/// that fits into memory, the largest series, all voxels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Part {
     /// Channel, component or array, from 0.
@@ -26,57 +26,57 @@ pub struct Part {
     pub region: Option<[[u32; 2]; 3]>,
 }
 
-/// What there is to choose from, and what is shown of it.
+/// The choices in a file, and the shown part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Choices {
-    /// What is shown. Channel, time, level and series are named.
+    /// The shown part. Channel, time, level and series have values.
     pub shown: Part,
-    /// Voxels along x, y, z of the whole at the level and in the series that are shown.
+    /// Voxels along x, y, z of the whole, at the shown level and in the shown series.
     pub whole_dims: [u64; 3],
-    /// How many channels there are.
+    /// Number of channels.
     pub num_channels: u32,
-    /// Names of the first of them.
+    /// Names of the first channels.
     pub channels: Vec<String>,
-    /// Points in time.
+    /// Number of points in time.
     pub num_times: u32,
-    /// Levels of a pyramid, the finest first; empty if there is one.
+    /// Voxels of each pyramid level, the finest first; empty if there is only one.
     pub levels: Vec<[u64; 3]>,
-    /// How many series there are.
+    /// Number of series.
     pub num_series: u32,
-    /// The first of them in words.
+    /// Descriptions of the first series.
     pub series: Vec<String>,
-    /// Bytes of memory that what is shown takes.
+    /// Memory of the shown part, bytes.
     pub bytes_in_memory: u64,
 }
 
-/// How the reading of a part stands.
+/// The progress of reading a part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoadStatus {
     /// Counts the loads of a server, from 1.
     pub load: LoadId,
-    /// Whether this viewer has asked for it.
+    /// Whether this viewer requested it.
     pub is_own: bool,
     /// What is asked for.
     pub part: Part,
-    /// Bytes of memory it will take; 0 as long as that is not known.
+    /// Memory that it will take, bytes; 0 if not known yet.
     pub bytes_needed: u64,
     /// How far it is.
     pub state: LoadState,
 }
 
-/// How far a load is.
+/// The progress of a load.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum LoadState {
-    /// It goes on; so many of a thousand are read.
+    /// The reading continues.
     Reading {
-        /// 0 to 1000.
+        /// Fraction that is read, thousandths, 0 to 1000.
         permille: u16,
     },
-    /// The part is there, and its description on the way.
+    /// The part is there, and its description follows.
     Done,
-    /// Somebody did not want it any more, or wanted another. What was shown stays.
+    /// Somebody cancelled it or requested another part. The shown part stays.
     Cancelled,
-    /// Why it cannot be shown. What was shown stays.
+    /// Why it cannot be shown. The shown part stays.
     Failed(String),
 }
 
@@ -96,7 +96,7 @@ impl Choices {
         self.num_channels > 1 || self.num_times > 1 || self.levels.len() > 1 || self.num_series > 1
     }
 
-    /// Makes names short and lists bounded, so that it can be sent.
+    /// Shortens names and lists so that a message can hold them.
     pub fn bounded(mut self) -> Self {
         let cut = |names: &mut Vec<String>, max_bytes: usize| {
             names.truncate(MAX_LISTED);
@@ -141,11 +141,11 @@ impl LoadStatus {
     }
 }
 
-/// Channels, and series, that are listed by name.
+/// Most channels or series that are listed by name.
 const MAX_LISTED: usize = 128;
-/// Longest name of a channel.
+/// Longest name of a channel, bytes.
 const MAX_CHANNEL_BYTES: usize = 160;
-/// Levels of a pyramid: each halves the one before.
+/// Most levels of a pyramid: each halves the previous one.
 const MAX_LEVELS: usize = 32;
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ impl Token {
         Self(bytes)
     }
 
-    /// Whether both are the same, in a time that does not depend on where they differ.
+    /// Whether both are equal, in constant time.
     pub fn matches(&self, other: &Self) -> bool {
         let difference = self.0.iter().zip(&other.0).fold(0u8, |d, (a, b)| d | (a ^ b));
         // Keeps the compiler from returning early.

@@ -15,12 +15,12 @@ pub(crate) struct BackendArgs {
 }
 
 impl BackendArgs {
-    /// Opens it.
+    /// Opens the backend.
     pub(crate) fn open(&self) -> Result<Backend> {
         Ok(Backend::open(self.backend)?)
     }
 
-    /// A renderer of a scene, and where it is: on the CPU if nobody asked for a GPU and the one that there is cannot.
+    /// A renderer of a scene and its backend: the CPU if the GPU cannot render it and nobody insisted on one.
     pub(crate) fn renderer(&self, scene: Scene) -> Result<(Renderer, Backend)> {
         let backend = self.open()?;
         match backend.renderer(scene.clone()) {

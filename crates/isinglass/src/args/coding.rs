@@ -1,11 +1,11 @@
-//! How frames become bytes.
+//! Arguments for the coding of frames.
 
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use isinglass_core::codec::blocks::MAX_TURN_DEG;
 use isinglass_core::session::rate::{CodingMode, CodingPlan, DEFAULT_QUALITY};
 
-/// How the frames of a server become bytes.
+/// The coding of a server's frames.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Coding")]
 pub(crate) struct PlanArgs {
@@ -21,16 +21,16 @@ pub(crate) struct PlanArgs {
 /// The codings of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ModeChoice {
-    /// Both.
+    /// Blocks in movement, exact at rest.
     Auto,
-    /// All lists and depths as they are.
+    /// All lists and depths unchanged.
     Exact,
     /// Lists in blocks.
     Blocks,
 }
 
 impl PlanArgs {
-    /// In the server's terms, with at most `rate_mbit` megabits a second.
+    /// The plan for a server, with at most `rate_mbit` megabits per second.
     pub(crate) fn plan(&self, rate_mbit: Option<f64>) -> CodingPlan {
         let mode = match self.codec {
             ModeChoice::Auto => CodingMode::Auto,
@@ -42,7 +42,7 @@ impl PlanArgs {
     }
 }
 
-/// How one frame becomes bytes.
+/// The coding of one frame.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct CodecArgs {
     /// Codec: exact, which keeps every list and depth, or blocks, which takes far fewer bytes
@@ -51,18 +51,17 @@ pub(crate) struct CodecArgs {
     /// Quality of --codec blocks, from 0 to 100 [default: 60]
     #[arg(long, value_name = "Q", value_parser = clap::value_parser!(u8).range(0..=100))]
     pub(crate) quality: Option<u8>,
-    /// The best quality of --codec blocks that makes the frame no larger than so many bytes
+    /// Choose the best quality of --codec blocks that keeps the frame within so many bytes
     #[arg(long, value_name = "N", conflicts_with = "quality")]
     pub(crate) bytes: Option<usize>,
-    /// The turn that the frame is seen at, degrees, at most 10 and rounded: --codec blocks spends its bytes where they show at
-    /// that turn [default: fit for all]
+    /// Angle from which the frame will be seen, degrees, at most 10 and rounded: --codec blocks spends its bytes
+    /// where they show at that turn [default: suits all]
     #[arg(long, value_name = "DEG", value_parser = parse_turn)]
     pub(crate) turn: Option<f32>,
 }
 
 impl CodecArgs {
     /// # Errors
-    ///
     /// Of usage, where an argument has no meaning for the codec.
     pub(crate) fn check(&self) -> Result<(), clap::Error> {
         let usage = |text| Err(clap::Error::raw(ErrorKind::ArgumentConflict, text));
@@ -89,7 +88,7 @@ impl CodecArgs {
 /// A codec.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum CodecChoice {
-    /// All lists and depths as they are.
+    /// All lists and depths unchanged.
     Exact,
     /// Lists in blocks.
     Blocks,

@@ -1,4 +1,4 @@
-//! What the link between server and viewer is like.
+//! Arguments for the link between server and viewer.
 
 use std::time::Duration;
 
@@ -8,20 +8,20 @@ use isinglass_net::LinkModel;
 
 use super::{parse_duration, usage_error};
 
-/// What the link between server and viewer is like, beside its round-trip time.
+/// Properties of the link between server and viewer, beside its round-trip time.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Link")]
 pub(crate) struct LinkArgs {
     /// Greatest additional delay of a packet, each way
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "0ms")]
     jitter: Duration,
-    /// Share of packets that are lost, each way: 0.01 is one in a hundred
+    /// Fraction of packets that are lost, each way: 0.01 is one in a hundred
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     loss: f64,
     /// Rate each way, megabits a second [default: unlimited]
     #[arg(long, value_name = "MBIT")]
     bandwidth: Option<f64>,
-    /// Seed of the link's chances
+    /// Seed of the link's random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
 }

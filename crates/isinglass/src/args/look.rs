@@ -1,4 +1,4 @@
-//! How matter looks, and which segments it becomes.
+//! Arguments for the look of matter, and for its segments.
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
@@ -12,7 +12,7 @@ use isinglass_formats::preset;
 use super::{parse_k, usage_error};
 use crate::clip_args::ClipArgs;
 
-/// How matter looks.
+/// The look of matter.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct LookArgs {
     /// Transfer function: a preset or a TOML file [default: the preset that suits the volume]
@@ -21,11 +21,11 @@ pub(crate) struct LookArgs {
     /// Whether gradients shade the colours
     #[arg(long, value_enum, default_value_t = Switch::On)]
     pub(crate) shading: Switch,
-    /// What a pixel tells of its ray: composite, mip, minip, average or iso [default: composite, with --iso iso]
+    /// What a pixel shows of its ray: composite, mip, minip, average or iso [default: composite, or iso with --iso]
     #[arg(long, value_name = "MODE")]
     mode: Option<RenderMode>,
-    /// Values of the surfaces of --mode iso, each with an opacity if it is not opaque [default: the value that parts the
-    /// histogram best]
+    /// Values of the surfaces of --mode iso, each with an opacity unless it is opaque [default: the value that splits
+    /// the histogram best]
     #[arg(long, value_name = "V[:OPACITY],…", allow_hyphen_values = true)]
     iso: Option<Isos>,
     #[command(flatten)]
@@ -47,7 +47,7 @@ impl LookArgs {
         self.shading == Switch::On
     }
 
-    /// The transfer function, if no preset is meant.
+    /// The transfer function, unless it is a preset.
     pub(crate) fn transfer_file(&self) -> Option<&str> {
         self.tf.as_deref().filter(|name| preset(name).is_none())
     }
@@ -64,7 +64,7 @@ impl LookArgs {
         }
     }
 
-    /// How the volume is marched.
+    /// The settings of a march.
     pub(crate) fn march_settings(&self, lighting: Lighting) -> Result<MarchSettings> {
         let (mode, isos) = self.mode()?;
         Ok(MarchSettings {
@@ -75,7 +75,7 @@ impl LookArgs {
         })
     }
 
-    /// What is asked for, of a volume whose transfer function is `transfer`.
+    /// The requested look of a volume whose transfer function is `transfer`.
     pub(crate) fn look(&self, transfer: TransferFunction, lists: &ListArgs) -> Result<Look> {
         let &ListArgs { k } = lists;
         let (mode, isos) = self.mode()?;
@@ -84,10 +84,10 @@ impl LookArgs {
     }
 }
 
-/// How many segments a layered frame holds.
+/// The number of segments in a layered frame.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ListArgs {
-    /// Segments a pixel, on average over those that see anything
+    /// Mean number of segments per pixel, over pixels that see anything
     #[arg(long, value_name = "K", value_parser = parse_k, default_value_t = DEFAULT_K)]
     pub(crate) k: u8,
 }

@@ -1,4 +1,4 @@
-//! What the camera does: paths that are played, and what a viewer expects of it.
+//! Arguments for camera paths, and for the viewer's prediction.
 
 use std::path::PathBuf;
 
@@ -9,23 +9,23 @@ use isinglass_client::{CameraPath, Foresight};
 
 use super::Switch;
 
-/// What a viewer does against the delay of its frames.
+/// The viewer's measures against latency.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Foresight")]
 pub(crate) struct ForesightArgs {
-    /// Ask for frames from where the camera will be when they are shown
+    /// Request frames for the camera's predicted pose
     #[arg(long, value_enum, default_value_t = Switch::On)]
     predict: Switch,
-    /// Ask for frames with a margin where the volume goes on beyond the picture
+    /// Request frames with a margin where the volume continues beyond the picture
     #[arg(long, value_enum, default_value_t = Switch::On)]
     guard_band: Switch,
-    /// Take what the newest frame does not see from older ones
+    /// Fill what the newest frame lacks from older ones
     #[arg(long, value_enum, default_value_t = Switch::On)]
     kept_frames: Switch,
 }
 
 impl ForesightArgs {
-    /// In the viewer's terms.
+    /// The same as the viewer's type.
     pub(crate) fn foresight(&self) -> Foresight {
         let is_on = |switch| switch == Switch::On;
         Foresight {
@@ -36,7 +36,7 @@ impl ForesightArgs {
     }
 }
 
-/// A camera path from a file.
+/// A camera path in a file.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct PathArgs {
     /// Play the camera path in FILE, as `view --record` writes it, in place of the orbit; or builtin:stops,
@@ -46,7 +46,7 @@ pub(crate) struct PathArgs {
 }
 
 impl PathArgs {
-    /// Reads it.
+    /// Reads the path.
     pub(crate) fn read(&self) -> Result<Option<CameraPath>> {
         let Some(path) = &self.path else { return Ok(None) };
         let name = path.display();
@@ -65,5 +65,5 @@ impl PathArgs {
     }
 }
 
-/// A path of the greatest length, with every number written out.
+/// Longest file of a path.
 const MAX_PATH_BYTES: u64 = 4 << 20;

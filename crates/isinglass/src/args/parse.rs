@@ -1,4 +1,4 @@
-//! Values of arguments from text, with what was expected where there is another.
+//! Parses values of arguments; errors say what was expected.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -19,17 +19,17 @@ pub(crate) fn parse_output(text: &str) -> Result<PathBuf, String> {
     }
 }
 
-/// Bad usage that only several arguments together show.
+/// Bad usage that only shows when several arguments are combined.
 pub(crate) fn usage_error(text: impl std::fmt::Display) -> anyhow::Error {
     clap::Error::raw(ErrorKind::ValueValidation, text).into()
 }
 
-/// Refuses to write over what is read, also in a folder that is: the names of inputs may be no files.
+/// Rejects an output that is an input, or lies in an input folder. Names of inputs need not be files.
 pub(crate) fn not_an_input<'a>(
     output: &Path,
     inputs: impl IntoIterator<Item = Option<&'a str>>,
 ) -> anyhow::Result<()> {
-    // What is not there yet is nobody's input.
+    // A file that does not exist yet is nobody's input.
     let Ok(output) = output.canonicalize() else { return Ok(()) };
     let is_output = |name: &&str| Path::new(name).canonicalize().is_ok_and(|input| output.starts_with(input));
     match inputs.into_iter().flatten().find(is_output) {
@@ -38,7 +38,7 @@ pub(crate) fn not_an_input<'a>(
     }
 }
 
-/// The same of a picture, or of pictures; a name that says another format than PNG is refused.
+/// The same for pictures; the name of another format than PNG is rejected.
 pub(crate) fn parse_picture(text: &str) -> Result<PathBuf, String> {
     let others = ["avif", "bmp", "exr", "gif", "jpeg", "jpg", "jxl", "tif", "tiff", "webp"];
     let path = parse_output(text)?;

@@ -1,4 +1,4 @@
-//! What a picture shows: its size, field of view and projection.
+//! Arguments for the size, field of view and projection of a picture.
 
 use clap::Args;
 use isinglass_client::DEFAULT_FOV_Y_DEGREES;
@@ -16,8 +16,8 @@ pub(crate) struct ViewArgs {
     /// Vertical field of view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = DEFAULT_FOV_Y_DEGREES)]
     pub(crate) fov: f32,
-    /// Parallel rays: what is far away is as large as what is near. The picture shows as much of the volume's middle as it
-    /// would with --fov
+    /// Parallel rays: size does not depend on distance. The picture shows as much of the volume's middle as with
+    /// --fov
     #[arg(long)]
     pub(crate) orthographic: bool,
 }
@@ -30,12 +30,12 @@ impl ViewArgs {
     }
 }
 
-/// The camera of parallel rays that shows as much of the middle of `bounds` as `camera` does.
+/// The camera of parallel rays that shows as much of the middle of `bounds` as `camera`.
 pub(crate) fn orthographic(camera: &Camera, bounds: &Aabb) -> Camera {
     if camera.intrinsics.projection.is_orthographic() {
         return *camera;
     }
     let depth = (bounds.center() - camera.pose.eye).dot(camera.pose.forward());
-    // An eye in the very middle would see nothing of it.
+    // An eye in the exact middle would see nothing of it.
     camera.to_orthographic(depth.max(1e-3 * bounds.radius()), bounds)
 }

@@ -1,4 +1,4 @@
-//! Which volume, which part of it, and opening it.
+//! Arguments for a volume and a part of it, and opening it.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use super::LookArgs;
 use crate::library::{FileLoader, OpenedFile};
 use crate::memory::MemoryArgs;
 
-/// A volume, and the shape of a raw one.
+/// A volume, and the layout of a raw one.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
     /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with --dims
@@ -30,18 +30,18 @@ pub(crate) struct VolumeArgs {
 }
 
 impl VolumeArgs {
-    /// What to open.
+    /// The source of the volume.
     pub(crate) fn source(&self) -> Result<&str> {
         self.volume.as_deref().context("expected VOLUME")
     }
 
-    /// The same, in one.
+    /// The source with all options.
     pub(crate) fn volume_source(&self) -> Result<VolumeSource> {
         let (source, raw, selection) = (self.source()?.to_owned(), self.raw.shape(), self.part.selection());
         Ok(VolumeSource { source, raw, selection, spacing: self.part.spacing })
     }
 
-    /// The volume that a saved state names; flags that take another part of it, or read it otherwise, hold.
+    /// The volume of a saved state; flags for another part or layout override it.
     pub(crate) fn in_state(&self, saved: VolumeSource) -> Self {
         let of_flags = self.part.selection();
         let VolumeSource { source, raw, selection: saved, spacing } = saved;
@@ -58,7 +58,7 @@ impl VolumeArgs {
         Self { volume: Some(source), raw, part }
     }
 
-    /// Opens the volume, after what is known before; large files show their progress.
+    /// Opens the volume, after printing notes from its header; large files show their progress.
     pub(crate) fn open(&self) -> Result<(Volume, Outline)> {
         let source = self.source()?;
         let before = outline(source, &self.options())?;
@@ -68,7 +68,8 @@ impl VolumeArgs {
         Ok((volume, before))
     }
 
-    /// How to open it, in as much memory as `serve` takes by default: so the same level of a pyramid is chosen.
+    /// Options for opening. The memory limit is the default of `serve`, so that both choose the same level of a
+    /// pyramid.
     fn options(&self) -> OpenOptions<'static> {
         let PartArgs { spacing, .. } = self.part;
         OpenOptions {
@@ -81,7 +82,7 @@ impl VolumeArgs {
     }
 }
 
-/// Runs `read` with something to tell its progress to, under the size of what is read.
+/// Runs `read` with a progress display that names the size of the volume.
 fn show_progress<T>(outline: &Outline, read: impl FnOnce(&dyn Fn(f32)) -> T) -> T {
     let [x, y, z] = outline.dims;
     let megabytes = outline.bytes_in_memory as f64 / 1e6;
@@ -98,7 +99,7 @@ fn show_progress<T>(outline: &Outline, read: impl FnOnce(&dyn Fn(f32)) -> T) -> 
     result
 }
 
-/// Which part of a file becomes the volume.
+/// The part of a file that becomes the volume.
 #[derive(Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Choices of a file")]
 pub(crate) struct PartArgs {
@@ -114,10 +115,10 @@ pub(crate) struct PartArgs {
     /// Series of a folder, from 0 [default: the largest]
     #[arg(long, value_name = "N")]
     series: Option<u32>,
-    /// Voxels to take along the axes that `info` shows, the end not included, such as 0:100,50:,:
+    /// Voxels to take along the axes that `info` shows, without the end, such as 0:100,50:,:
     #[arg(long, value_name = "X,Y,Z")]
     region: Option<Region>,
-    /// Distances between voxels, in place of those of the file
+    /// Distances between voxels that replace those of the file
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, allow_hyphen_values = true)]
     pub(crate) spacing: Option<Vec3>,
 }
@@ -130,7 +131,7 @@ impl PartArgs {
     }
 }
 
-/// What a raw file does not say of itself.
+/// Layout of a raw file.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Raw volumes")]
 pub(crate) struct RawArgs {
@@ -149,13 +150,13 @@ pub(crate) struct RawArgs {
 }
 
 impl RawArgs {
-    /// The flags for a shape, but for its spacing.
+    /// The flags for a layout, without its spacing.
     fn of(shape: &RawShape) -> Self {
         let &RawShape { dims, dtype, spacing: _, endian, offset } = shape;
         Self { dims: Some(dims), dtype: Some(dtype), endian: Some(endian), offset: Some(offset) }
     }
 
-    /// The shape, if there is one.
+    /// The layout, if given.
     pub(crate) fn shape(&self) -> Option<RawShape> {
         Some(RawShape {
             dims: self.dims?,
@@ -179,7 +180,7 @@ pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighti
     Ok(opened?)
 }
 
-/// Opens a volume to serve within a limit of memory, with the rest of its file; large files show their progress.
+/// Opens a volume to serve within a memory limit, with the rest of its file; large files show their progress.
 pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
     let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options() };
     let request = volume.volume_source()?.request(options.max_bytes);
@@ -204,7 +205,7 @@ fn parse_spacing(text: &str) -> Result<Vec3, String> {
         .ok_or_else(|| "expected three positive numbers, such as 1,1,2.5".into())
 }
 
-/// Three values between commas or crosses.
+/// Parses three values between commas or crosses.
 fn parse_three<T: std::str::FromStr>(text: &str) -> Option<[T; 3]> {
     let parts =
         text.split([',', 'x', 'X', '×']).map(|p| p.trim().parse().ok()).collect::<Option<Vec<T>>>()?;

@@ -1,16 +1,12 @@
 //! `bench`: tables of speed, latency and the pipeline.
 
-use std::future::{Future, poll_fn};
 use std::path::PathBuf;
-use std::pin::pin;
-use std::task::Poll;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
 use isinglass_bench::demo::DemoOptions;
 use isinglass_bench::latency::Contender;
-use isinglass_bench::output::{check_writable, exit_between_writes, write_whole};
 use isinglass_bench::progress::note;
 use isinglass_bench::scenes::distinct;
 use isinglass_bench::subject::Subject;
@@ -18,7 +14,7 @@ use isinglass_bench::{latency, scenes, speed};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::look::DEFAULT_K;
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::VolumeSource;
+use isinglass_formats::{VolumeSource, check_writable, write_whole};
 use isinglass_render::{Backend, BackendChoice};
 use serde::Serialize;
 
@@ -40,20 +36,20 @@ pub(crate) struct BenchArgs {
 enum Table {
     /// How long rendering, layers, coding and novel views take
     Speed(SpeedArgs),
-    /// What is shown under latency: the headless demo over a table of round-trip times
+    /// Quality under latency: the headless demo over a table of round-trip times
     Latency(LatencyArgs),
-    /// Where the time of a frame goes from the wish to the screen: server and viewer over a slowed-down link
+    /// The time of a frame from request to screen: server and viewer over a slowed-down link
     Pipeline(Box<PipelineArgs>),
 }
 
-/// What all tables have in common.
+/// Arguments of all tables.
 #[derive(Args)]
 struct CommonArgs {
     /// Scenes: cloud, cubus, shells, bonsai, engine, avm, t1_head, heptane, mouse_brain, a file or folder, or a built-in
     /// volume [default: all]. Scanned volumes come from the folder that ISINGLASS_DATA names, or from shared/data
     #[arg(value_name = "SCENE", help_heading = None::<&'static str>)]
     scenes: Vec<String>,
-    /// Columns and rows of pictures, and of frames if nothing else is said
+    /// Columns and rows of pictures, and by default of frames
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "256x256")]
     size: [u32; 2],
     /// Vertical field of view, degrees
@@ -68,7 +64,7 @@ struct CommonArgs {
     /// Also write the JSON to a file, whole or not at all
     #[arg(short, long, value_name = "FILE", value_parser = parse_output)]
     output: Option<PathBuf>,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
@@ -92,13 +88,13 @@ impl CommonArgs {
         for scene in &mut scenes {
             let (raw, selection, spacing) = (self.raw.shape(), self.part.selection(), self.part.spacing);
             scene.volume = VolumeSource { raw, selection, spacing, ..scene.volume.clone() };
-            // What cannot be opened is refused before hours of measuring.
+            // A source that cannot be opened is rejected before hours of measuring.
             scene.check()?;
         }
         Ok(scenes)
     }
 
-    /// What is looked at.
+    /// The subject of the table.
     fn subject(&self, ks: Vec<u8>, angles_degrees: Vec<f32>) -> Result<Subject> {
         let (mode, isos) = self.look.mode()?;
         Ok(Subject {
@@ -115,7 +111,7 @@ impl CommonArgs {
         })
     }
 
-    /// Refuses a file that cannot be written to.
+    /// Rejects a file that cannot be written.
     fn check_output(&self) -> Result<()> {
         if let Some(output) = &self.output {
             let transfer = std::iter::once(self.look.transfer_file());
@@ -124,7 +120,7 @@ impl CommonArgs {
         self.output.iter().try_for_each(|path| Ok(check_writable(path)?))
     }
 
-    /// Prints, then writes: what was measured is not lost with a file, nor with a scene that failed, which is told last.
+    /// Prints before it writes, so that an unwritable file loses no results. Failed scenes are reported last.
     fn publish(&self, report: &impl Serialize, table: &str, failed: &[String]) -> Result<()> {
         let printed = if self.json { print_json(report) } else { print(table) };
         if let Some(path) = &self.output {
@@ -152,7 +148,7 @@ struct SpeedArgs {
     /// Backends, between commas [default: cpu, and gpu if there is one]
     #[arg(long, value_name = "BACKEND", value_delimiter = ',')]
     backend: Vec<BackendChoice>,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -161,7 +157,7 @@ struct SpeedArgs {
 struct LatencyArgs {
     #[command(flatten)]
     lists: ListArgs,
-    /// Whether frames are asked for from where the camera will be, between commas: on, off
+    /// Whether frames are requested for the predicted pose, between commas: on, off
     #[arg(long, value_enum, value_name = "SWITCH", value_delimiter = ',', default_values_t = [Switch::On])]
     prediction: Vec<Switch>,
     /// Round-trip times, between commas
@@ -170,7 +166,7 @@ struct LatencyArgs {
     /// Speeds of the camera, degrees a second, between commas
     #[arg(long, value_name = "DEG", default_value = "30", value_parser = parse_speed, value_delimiter = ',')]
     speed: Vec<f32>,
-    /// Pictures of each run that are compared with the truth, at most
+    /// Most pictures of each run that are compared with the truth
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     compared: u32,
     /// Keep the pictures and reports of each run in a folder of its own in DIR
@@ -180,7 +176,7 @@ struct LatencyArgs {
     backend: BackendArgs,
     #[command(flatten)]
     path: PathArgs,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     common: CommonArgs,
     #[command(flatten)]
@@ -192,7 +188,6 @@ struct LatencyArgs {
 }
 
 pub(crate) fn run(args: BenchArgs) -> Result<()> {
-    exit_on_interrupt()?;
     match args.table {
         Table::Speed(args) => run_speed(args),
         Table::Latency(args) => run_latency(args),
@@ -200,34 +195,9 @@ pub(crate) fn run(args: BenchArgs) -> Result<()> {
     }
 }
 
-/// From now on Ctrl-C ends the process at once, and leaves no half of a file.
-fn exit_on_interrupt() -> Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let (listening, listens) = std::sync::mpsc::sync_channel(1);
-    let wait = move || {
-        let interrupted = runtime.block_on(async {
-            let mut interrupt = pin!(tokio::signal::ctrl_c());
-            // Its first poll is what listens.
-            let first = poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context))).await;
-            // Fails only if the process is about to end.
-            let _ = listening.send(());
-            match first {
-                Poll::Ready(result) => result,
-                Poll::Pending => interrupt.await,
-            }
-        });
-        if interrupted.is_ok() {
-            note("isinglass: interrupted");
-            exit_between_writes(INTERRUPTED);
-        }
-    };
-    std::thread::Builder::new().name("interrupt".into()).spawn(wait)?;
-    Ok(listens.recv()?)
-}
-
 fn run_speed(args: SpeedArgs) -> Result<()> {
     let common = args.common;
-    // First: what is refused opens no device.
+    // This comes first, so that bad usage opens no device.
     common.check_output()?;
     let subject = common.subject(args.k, args.angles)?;
     let mut backends = distinct(args.backend);
@@ -292,6 +262,3 @@ fn parse_angle(text: &str) -> Result<f32, String> {
     let degrees = text.parse::<f32>().ok().filter(|d| d.abs() <= 360.0);
     degrees.ok_or_else(|| "expected degrees, -360 to 360".into())
 }
-
-/// As a shell tells of a process that Ctrl-C ended.
-const INTERRUPTED: i32 = 130;

@@ -1,11 +1,13 @@
-//! `compare`: how far one picture is from another.
+//! `compare`: the difference of two pictures.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
-use isinglass_bench::output::Rgb8;
+use image::{ImageFormat, ImageReader};
+use isinglass_bench::progress::note;
 use isinglass_core::image_error;
+use isinglass_formats::png::Rgb8;
 
 use crate::args::parse_background;
 use crate::report::{print, print_json};
@@ -15,7 +17,7 @@ pub(crate) struct CompareArgs {
     /// A PNG file
     #[arg(value_name = "A")]
     a: PathBuf,
-    /// Another
+    /// Another PNG file
     #[arg(value_name = "B")]
     b: PathBuf,
     /// The colour that does not count as object
@@ -27,8 +29,8 @@ pub(crate) struct CompareArgs {
 }
 
 pub(crate) fn run(args: &CompareArgs) -> Result<()> {
-    let a = Rgb8::read(&args.a, args.background)?;
-    let b = Rgb8::read(&args.b, args.background)?;
+    let a = read(&args.a, args.background)?;
+    let b = read(&args.b, args.background)?;
     if (a.width, a.height) != (b.width, b.height) {
         bail!(
             "{}: found {}x{} pixels, expected {}x{} as in {}",
@@ -48,4 +50,30 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
         "DSSIM         {:.6}\nSSIM          {:.6}\nPSNR          {:.2} dB\ngreatest      {} of 255\nDSSIM object  {:.6}\n",
         e.dssim, e.ssim, e.psnr_db, e.max_abs_255, e.dssim_object
     ))
+}
+
+/// Reads a PNG file. Transparent pixels are put on `background`.
+fn read(path: &Path, background: [u8; 3]) -> Result<Rgb8> {
+    let name = || path.display().to_string();
+    ensure!(
+        std::fs::metadata(path).with_context(name)?.is_file(),
+        "{}: not a regular file, expected a PNG picture",
+        name()
+    );
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).with_context(name)?;
+    ensure!(reader.format() == Some(ImageFormat::Png), "{}: not a PNG picture, by its first bytes", name());
+    let decoded = reader.decode().with_context(name)?;
+    let color = decoded.color();
+    if color.bytes_per_pixel() > color.channel_count() {
+        note(&format!("note: {} has 16 bits a channel, of which the upper 8 are taken", name()));
+    }
+    let (width, height) = (decoded.width(), decoded.height());
+    let blend = |c: u8, behind: u8, alpha: u8| {
+        let sum = u32::from(c) * u32::from(alpha) + u32::from(behind) * u32::from(255 - alpha);
+        ((sum + 127) / 255) as u8
+    };
+    let rgba = decoded.into_rgba8();
+    let bytes =
+        rgba.pixels().flat_map(|p| std::array::from_fn::<_, 3, _>(|i| blend(p[i], background[i], p[3])));
+    Ok(Rgb8 { width, height, bytes: bytes.collect() })
 }

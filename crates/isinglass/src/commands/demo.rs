@@ -44,13 +44,13 @@ pub(crate) struct DemoArgs {
     /// Columns and rows of the picture [default: 256x256, or a window of 1100x760]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     size: Option<[u32; 2]>,
-    /// The window's, where --size is not given
+    /// The window's size without --size
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1100x760", hide = true)]
     window_size: [u32; 2],
     /// Vertical field of view, degrees
     #[arg(long, value_name = "DEG", value_parser = parse_fov, default_value_t = isinglass_client::DEFAULT_FOV_Y_DEGREES)]
     fov: f32,
-    /// Parallel rays; in a window, to begin with (key 5)
+    /// Parallel rays; a window begins with them (key 5)
     #[arg(long)]
     orthographic: bool,
     /// Where the camera begins, see `render`
@@ -59,7 +59,7 @@ pub(crate) struct DemoArgs {
     /// Speed of the headless camera, degrees a second
     #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_speed)]
     speed: f32,
-    /// Pictures a second without a window
+    /// Pictures per second without a window
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = parse_rate)]
     rate: f32,
     #[command(flatten)]
@@ -102,7 +102,7 @@ pub(crate) fn run(args: DemoArgs, given: Given) -> Result<()> {
         return headless(args, link);
     }
     match window(args.clone(), link.clone(), given) {
-        // Where there never was a window; one that was lost is an error.
+        // The headless run only replaces a window that never opened; a lost one is an error.
         Err(e) if e.downcast_ref().is_some_and(|e| !matches!(e, ViewerError::DisplayLost)) => {
             note(&format!("no window ({e:#}): playing without one (see `isinglass doctor`)"));
             headless(args, link)
@@ -166,7 +166,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
         seen.open_to_serve(&volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     let size = args.size.unwrap_or(args.window_size);
     let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window);
-    // The server has the look already, with what flags say.
+    // The server already has the look with its flags.
     let state = Some(SavedState { look: None, ..state });
     let options = ServeOptions {
         volume: opened.volume,
@@ -204,12 +204,12 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
         },
     });
     runtime.block_on(server.close());
-    // What is still being read or worked out is for nobody.
+    // Nobody waits for unfinished reading or computing.
     runtime.shutdown_background();
     Ok(shown?)
 }
 
-/// The same view in the viewer's terms.
+/// The same view as the viewer's type.
 pub(crate) fn initial_orbit(orbit: &Orbit) -> InitialOrbit {
     InitialOrbit {
         azimuth_degrees: orbit.azimuth_degrees,

@@ -18,13 +18,13 @@ pub(crate) struct DoctorArgs {
     json: bool,
 }
 
-/// One thing looked at.
+/// The result of one check.
 #[derive(Serialize)]
 struct Check {
     name: &'static str,
     ok: bool,
     found: String,
-    /// What to do about it; none if nothing is to be done.
+    /// What to do about it, if anything.
     advice: Option<&'static str>,
 }
 
@@ -96,7 +96,7 @@ fn display() -> Check {
     Check { name: "display", ok, found: found.into(), advice }
 }
 
-/// Server and viewer talk over UDP; some containers and firewalls forbid even that to oneself.
+/// Server and viewer talk over UDP; some containers and firewalls forbid even the loopback.
 fn udp_loopback() -> Check {
     let name = "UDP loopback";
     let attempt = || -> std::io::Result<()> {

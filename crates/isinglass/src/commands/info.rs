@@ -1,4 +1,4 @@
-//! `info`: what is in a volume or in a stored layered frame.
+//! `info`: the contents of a volume or a stored layered frame.
 
 use std::fs::File;
 use std::io::Read;
@@ -99,11 +99,11 @@ fn frame(path: &Path, is_json: bool) -> Result<()> {
     ))
 }
 
-/// What the chunks of a frame spend their bytes on.
+/// How the chunks of a frame spend their bytes.
 struct FrameSpent(Vec<ChunkSpent>);
 
 struct ChunkSpent {
-    /// 0 base, 1 refinement.
+    /// 0 for the base, 1 for a refinement.
     group: usize,
     band: u8,
     rows: Range<u32>,
@@ -134,13 +134,13 @@ impl FrameSpent {
         Ok(Self(spent))
     }
 
-    /// Headers and planes in their order; those that a chunk without segments lacks are those of the others.
+    /// Headers and planes in order; a chunk without segments uses the names of another.
     fn parts(&self) -> impl Iterator<Item = &'static str> {
         let longest = self.0.iter().max_by_key(|chunk| chunk.spent.parts.len());
         longest.into_iter().flat_map(|chunk| chunk.spent.parts.iter().map(|(name, _)| *name))
     }
 
-    /// Tiles of all chunks, by class: those that there are.
+    /// Tiles of all chunks by class, without absent classes.
     fn tiles(&self) -> Vec<TileClass> {
         let mut all: Vec<TileClass> = Vec::new();
         for class in
@@ -163,7 +163,7 @@ impl FrameSpent {
         parts.filter(|(name, _)| *name == part).map(|(_, bytes)| bytes).sum()
     }
 
-    /// Bytes of planes and of bands, by group and in all, and a segment's share; then the tiles.
+    /// Bytes of planes and bands, by group and in total, and per segment; then the tiles.
     fn table(&self, segments: usize) -> String {
         let total = self.bytes(|_| true);
         let mut text = format!("  bytes        {total} in {} chunks\n\n", self.0.len());

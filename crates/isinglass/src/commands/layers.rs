@@ -1,4 +1,4 @@
-//! `layers`: a layered frame of a volume, stored.
+//! `layers`: stores a layered frame of a volume.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -40,7 +40,7 @@ pub(crate) struct LayersArgs {
     codec: CodecArgs,
     #[command(flatten)]
     backend: BackendArgs,
-    /// Tell what was done as JSON
+    /// Print a summary as JSON
     #[arg(long)]
     json: bool,
     // Last: what follows would be listed under their headings.
@@ -67,7 +67,7 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
         let found = format!("--codec blocks: found --mode {}, expected --codec exact with it", look.mode);
         return Err(usage_error(found));
     }
-    // A mean behind a plane is over a way that no box has.
+    // A mean behind an oblique plane needs a path length that no box gives.
     let is_askew = look.mode == Mode::Average && look.clip.plane.is_some();
     let left = (!is_askew).then(|| opened.scene.region().bounds);
     let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
@@ -103,12 +103,12 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     Ok(())
 }
 
-/// The frame as it was asked for, and what it became.
+/// The encoded frame, and the coding that was chosen.
 fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Coding)> {
     let turn_deg = args.turn.map(|t| t.round() as u8);
     let in_blocks = |quality| blocks::Settings { turn_deg, ..blocks::Settings::of(quality) };
     let coding = match (args.codec, args.bytes) {
-        // Nobody waits for a part of a file.
+        // A file needs no groups, because nobody waits for a part of it.
         (CodecChoice::Exact, _) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
         (CodecChoice::Blocks, None) => Coding::Blocks(in_blocks(args.quality.unwrap_or(QUALITY))),
         (CodecChoice::Blocks, Some(bytes)) => {
@@ -119,5 +119,5 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
     Ok((coding.encode(frame, None)?.0, coding))
 }
 
-/// The quality of frames in blocks if none is said.
+/// The default quality of frames in blocks.
 const QUALITY: u8 = 60;

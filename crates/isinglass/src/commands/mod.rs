@@ -1,4 +1,4 @@
-//! One file for each command.
+//! One file per command.
 
 mod bench;
 mod compare;
@@ -34,21 +34,21 @@ pub(crate) enum Command {
     Reproject(reproject::ReprojectArgs),
     /// Compare two pictures: DSSIM, SSIM, PSNR
     Compare(compare::CompareArgs),
-    /// Tell what is in a volume or in a stored layered frame
+    /// Show what is in a volume or in a stored layered frame
     Info(info::InfoArgs),
-    /// Measure speed, latency or where the time of a frame goes
+    /// Measure speed, latency or the stages of a frame
     Bench(bench::BenchArgs),
-    /// Tell what this machine lacks, and what to install
+    /// Report what this machine lacks, and what to install
     Doctor(doctor::DoctorArgs),
 }
 
 impl Command {
-    /// What the log tells if nothing else is asked for. Only a server has trouble that is told nowhere else.
+    /// The default log level. Only a server has problems that appear nowhere else.
     pub(crate) fn log_level(&self) -> &'static str {
         if matches!(self, Self::Serve(_)) { "warn" } else { "error" }
     }
 
-    /// Does it.
+    /// Runs the command.
     pub(crate) fn run(self, given: Given) -> Result<()> {
         match self {
             Self::Demo(args) => demo::run(args, given),
@@ -65,5 +65,5 @@ impl Command {
     }
 }
 
-/// The commands whose volume may be named by a state in place of VOLUME.
+/// The commands in which a state may name the volume in place of VOLUME.
 pub(crate) const WITH_STATE: [&str; 3] = ["serve", "render", "layers"];

@@ -1,4 +1,4 @@
-//! `bench pipeline`: where the time of a frame goes.
+//! `bench pipeline`: the time of each stage of a frame.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -27,7 +27,7 @@ pub(super) struct PipelineArgs {
     /// Round-trip time between server and viewer
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "20ms")]
     rtt: Duration,
-    /// How long to measure, seconds
+    /// Duration of the measurement, seconds
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
     /// Columns and rows of the picture
@@ -39,10 +39,10 @@ pub(super) struct PipelineArgs {
     /// Where the camera begins, see `render`
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    /// Speed of the camera, degrees a second
+    /// Speed of the camera, degrees per second
     #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_speed)]
     speed: f32,
-    /// Refreshes of the display a second
+    /// Refreshes of the display per second
     #[arg(long, value_name = "HZ", default_value_t = 60.0, value_parser = parse_rate)]
     refresh: f32,
     #[command(flatten)]
@@ -57,7 +57,7 @@ pub(super) struct PipelineArgs {
     /// Also write the lives of frames to a file, as Chrome trace events
     #[arg(long, value_name = "FILE", value_parser = parse_output)]
     trace: Option<PathBuf>,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]

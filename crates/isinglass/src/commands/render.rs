@@ -27,10 +27,11 @@ pub(crate) struct RenderArgs {
     /// a body's anterior side where the file knows it and +z otherwise
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    /// PNG file to write; for --turntable a folder, which is made, or a name with a # for each figure of the picture's number
+    /// PNG file to write; for --turntable a folder, which is created, or a name with a # for each digit of the
+    /// picture's number
     #[arg(short, long, value_name = "FILE", value_parser = parse_pictures)]
     output: PathBuf,
-    /// N pictures once around the volume, from --orbit on by azimuth
+    /// N pictures once around the volume by azimuth, starting at --orbit
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=MAX_PICTURES))]
     turntable: Option<u32>,
     #[command(flatten)]
@@ -40,10 +41,10 @@ pub(crate) struct RenderArgs {
     background: [u8; 3],
     #[command(flatten)]
     backend: BackendArgs,
-    /// Tell what was done as JSON
+    /// Print a summary as JSON
     #[arg(long)]
     json: bool,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
@@ -110,12 +111,12 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     Ok(())
 }
 
-/// Where the pictures go.
+/// Names of the pictures.
 enum Names {
     One(PathBuf),
-    /// Called by their numbers.
+    /// Numbered files in a folder.
     Folder(PathBuf),
-    /// With so many figures between two parts of the name.
+    /// A number with so many digits between two parts of the name.
     Pattern(PathBuf, String, usize, String),
 }
 
@@ -143,7 +144,7 @@ impl Names {
     }
 }
 
-/// A file to write, or a folder that is there.
+/// A file to write, or an existing folder.
 fn parse_pictures(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     if path.is_dir() { Ok(path) } else { parse_picture(text) }

@@ -1,4 +1,4 @@
-//! `reproject`: a stored layered frame from another side.
+//! `reproject`: a novel view of a stored layered frame.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -26,8 +26,8 @@ pub(crate) struct ReprojectArgs {
     /// A layered frame that `layers` stored
     #[arg(value_name = "FRAME")]
     frame: PathBuf,
-    /// Azimuth and elevation in degrees, see `render`; distance in radii of the volume's bounding sphere [default: the frame's own
-    /// camera; without DIST as far away as that]
+    /// Azimuth and elevation in degrees, see `render`; distance in radii of the volume's bounding sphere [default:
+    /// the frame's own camera; without DIST its distance]
     #[arg(long, value_name = "AZ,EL[,DIST]", allow_hyphen_values = true)]
     orbit: Option<Orbit>,
     /// PNG file to write
@@ -39,7 +39,7 @@ pub(crate) struct ReprojectArgs {
     /// Vertical field of view, degrees [default: the frame's]
     #[arg(long, value_name = "DEG", value_parser = parse_fov)]
     fov: Option<f32>,
-    /// Parallel rays, whatever the frame's are: see `render`
+    /// Parallel rays, whatever those of the frame: see `render`
     #[arg(long, conflicts_with = "fov")]
     orthographic: bool,
     /// Colour behind the volume
@@ -47,10 +47,10 @@ pub(crate) struct ReprojectArgs {
     background: [u8; 3],
     #[command(flatten)]
     backend: BackendArgs,
-    /// Tell what was done as JSON
+    /// Print a summary as JSON
     #[arg(long)]
     json: bool,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     lens: LensArgs,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! `serve`: a volume for viewers.
+//! `serve`: serves a volume to viewers.
 
 use std::net::{Ipv6Addr, SocketAddr, ToSocketAddrs};
 use std::pin::pin;
@@ -24,15 +24,15 @@ pub(crate) struct ServeArgs {
     /// Address and UDP port to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address, default_value = "127.0.0.1:4433")]
     listen: SocketAddr,
-    /// Name or address that viewers reach this machine by, for the link [default: the one listened on]
+    /// Name or address of this machine for viewers, for the link [default: the one listened on]
     #[arg(long, value_name = "HOST", value_parser = parse_host)]
     host: Option<String>,
-    /// Viewers at the same time; one link is printed for each, and another when one has left
+    /// Most viewers at the same time; one link is printed for each, and another when one has left
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     viewers: u32,
     #[command(flatten)]
     lists: ListArgs,
-    /// Send each viewer no more than so many megabits a second, in frames as good as that allows [default: what its link
+    /// Send each viewer at most so many megabits a second, in frames as good as that allows [default: what its link
     /// carries]
     #[arg(long, value_name = "MBIT", value_parser = parse_mbit)]
     rate: Option<f64>,
@@ -40,13 +40,13 @@ pub(crate) struct ServeArgs {
     backend: BackendArgs,
     #[command(flatten)]
     memory: MemoryArgs,
-    /// Show what is named here only: viewers cannot choose another channel, time, level or series
+    /// Show only this part: viewers cannot choose another channel, time, level or series
     #[arg(long)]
     fixed: bool,
-    /// Print the links as JSON, an object a line
+    /// Print the links as JSON, one object per line
     #[arg(long)]
     json: bool,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
@@ -62,7 +62,7 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
     let source = seen.volume(&args.volume)?.source()?.to_owned();
     let (opened, look) =
         seen.open_to_serve(&args.volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
-    // Who follows the link sees the state at once.
+    // A viewer that follows the link opens the state at once.
     let state = seen.for_link(&look);
     let backend = args.backend.open()?;
     let description = backend.description();
@@ -89,7 +89,7 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         let mut attendance = server.attendance();
         let mut end = pin!(told_to_end());
         loop {
-            // As many as may come beside those who are here. Who has lost the network comes back without one.
+            // One link per free place. A viewer that lost the network reconnects without one.
             let Attendance { connected, used_links } = *attendance.borrow_and_update();
             let unused = num_links - used_links.min(num_links);
             let mut links = Vec::new();
@@ -105,12 +105,12 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
             }
             let told = match (links.is_empty(), args.json) {
                 (true, _) => Ok(()),
-                // Each on a line of its own, as there may be more.
+                // Each link is on a line of its own, as there may be more.
                 (_, true) => print(&format!("{}\n", json!({ "address": address.to_string(), "links": links }))),
                 (_, false) => print(&(links.join("\n") + "\n")),
             };
             match minted.and(told) {
-                // Those who are here stay.
+                // Present viewers stay.
                 Err(e) if num_links > 0 => note(&format!("no other viewer can come: {e:#}")),
                 all => all?,
             }
@@ -124,12 +124,12 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         server.close().await;
         Ok(())
     });
-    // What is still being read or worked out is for nobody.
+    // Nobody waits for unfinished reading or computing.
     runtime.shutdown_background();
     served
 }
 
-/// Ends when the process is told to: by Ctrl-C or, as service managers do it, SIGTERM.
+/// Returns on Ctrl-C, or on SIGTERM, which service managers send.
 async fn told_to_end() -> Result<()> {
     let ctrl_c = async { tokio::signal::ctrl_c().await.context("cannot wait for Ctrl-C") };
     #[cfg(unix)]

@@ -1,4 +1,4 @@
-//! `view`: the viewer on a server's link, on a volume of this machine, or with a page to choose one.
+//! `view`: the viewer for a server's link, for a volume of this machine, or with a page to choose one.
 
 use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
@@ -7,11 +7,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use isinglass_bench::output::write_whole;
 use isinglass_bench::progress::note;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer};
+use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer, write_whole};
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
 
 use super::demo::initial_orbit;
@@ -55,7 +54,7 @@ pub(crate) struct ViewerArgs {
     record: Option<PathBuf>,
     #[command(flatten)]
     lists: ListArgs,
-    // Last: what follows would be listed under their headings.
+    // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
@@ -70,7 +69,7 @@ pub(crate) struct ViewerArgs {
     part: PartArgs,
 }
 
-/// What is shown at first.
+/// The first thing to show.
 #[derive(Clone, Debug)]
 enum Target {
     Server(Link),
@@ -78,8 +77,8 @@ enum Target {
     Input,
 }
 
-/// A server that is not there or does not let this viewer in is an error before any window opens; one that goes away later, and
-/// whatever is chosen in the window, is told there.
+/// An absent or refusing server is an error before any window opens. Later failures, and those of choices in the
+/// window, appear there.
 pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     let target = match args.target {
         Some(Target::Input) => Some(Target::Server(read_link(io::stdin().lock())?)),
@@ -112,7 +111,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     args.look.mode()?;
     args.look.tf.as_deref().map(load_transfer).transpose()?;
     let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window);
-    // First: a link lets in one viewer, and shall not be used up where nothing can be shown.
+    // This comes first, because a link admits one viewer and must not be used up without a display.
     if !display_available() {
         bail!("no display answers, expected one to open a window on; see `isinglass doctor`");
     }
@@ -137,7 +136,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             let clock = client.clock().clone();
             let services = local::services(args.backend.backend, limit, None);
             run_window_with_start(window, clock, services, move |wake| {
-                // There is one window, so nothing was set before.
+                // There is only one window, so no waker was set before.
                 let _ = waker.set(wake);
                 Ok(First::Connected { source: Box::new(client), link })
             })?;
@@ -161,7 +160,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                 lighting: args.light.lighting(),
                 lists: args.lists,
             };
-            // The server of the volume has the look already, with what flags say.
+            // The volume's server already has the look with its flags.
             let state = window.state.map(|state| SavedState { look: None, ..state });
             let window = WindowOptions { state, ..window };
             let services = local::services(args.backend.backend, limit, Some(first));
@@ -180,7 +179,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     write_path(args.record.as_deref(), recorder.as_deref())
 }
 
-/// Writes what the camera did.
+/// Writes the recorded camera path.
 fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Result<()> {
     if let (Some(file), Some(recorder)) = (file, recorder) {
         let path = recorder.lock().unwrap_or_else(PoisonError::into_inner);
@@ -189,7 +188,7 @@ fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Resu
     Ok(())
 }
 
-/// A client that was let in, and what wakes its window once there is one.
+/// An admitted client, and the slot for its window's waker.
 fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     let waker = Arc::new(OnceLock::<Waker>::new());
     let wakes = waker.clone();
@@ -212,7 +211,7 @@ fn read_link(text: impl BufRead) -> Result<Link> {
     line.trim().parse().context("standard input")
 }
 
-/// Whatever is no volume is read as a link, and told so.
+/// Anything that is no volume is read as a link, with its errors.
 fn parse_target(text: &str) -> Result<Target, String> {
     if text == "-" {
         return Ok(Target::Input);
@@ -228,7 +227,7 @@ fn parse_target(text: &str) -> Result<Target, String> {
     ))
 }
 
-/// Bytes of standard input that are read for one: a state that it names is bounded by itself.
+/// Most bytes that are read from standard input; a state inside has a limit of its own.
 const LONGEST_LINK: u64 = 1 << 20;
-/// Longer than QUIC tries by itself on a slow link.
+/// Longer than QUIC itself tries on a slow link.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(15);

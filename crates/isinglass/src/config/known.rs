@@ -1,4 +1,4 @@
-//! Every setting there is, and the flag that it is.
+//! All settings, and the flag of each.
 
 use clap::{Arg, Command};
 use isinglass_client::Bindings;
@@ -6,29 +6,29 @@ use isinglass_client::Bindings;
 /// A setting: `key` under `[section]`.
 #[derive(Debug)]
 pub(super) struct Known {
-    /// The table of the file, and the first part of the variable.
+    /// The table in the file, and the first part of the variable's name.
     pub(super) section: &'static str,
-    /// The name in it.
+    /// The key in the table.
     pub(super) key: &'static str,
-    /// The name of the flag's field.
+    /// The field of the flag.
     pub(super) arg: &'static str,
-    /// The commands that have the flag. The first one's file, `server.toml` or `viewer.toml`, may hold the setting.
+    /// The commands with this flag. The first one's file, `server.toml` or `viewer.toml`, may contain the setting.
     pub(super) commands: &'static [&'static str],
 }
 
 impl Known {
-    /// The flag of a command that has it.
+    /// The flag in a command that has it.
     pub(super) fn argument<'a>(&self, command: &'a Command) -> &'a Arg {
         let id = self.arg_in(command.get_name());
         command.get_arguments().find(|a| a.get_id() == id).expect("the table names flags")
     }
 
-    /// The flag's field. A demonstration without a window has a size of its own.
+    /// The field of the flag. A demonstration without a window has a size of its own.
     pub(super) fn arg_in(&self, command: &str) -> &'static str {
         if command == "demo" && self.arg == "size" { "window_size" } else { self.arg }
     }
 
-    /// The file that it stands in.
+    /// The file with the setting.
     pub(super) fn file(&self) -> &'static str {
         if self.commands[0] == "serve" { SERVER } else { VIEWER }
     }
@@ -46,7 +46,7 @@ const fn viewer(section: &'static str, key: &'static str, arg: &'static str) -> 
     Known { section, key, arg, commands: &["view", "demo"] }
 }
 
-/// All of them, in the order in which they are printed. Bindings, whose names are the viewer's, come behind.
+/// All settings in the order of printing. Bindings follow, whose names belong to the viewer.
 pub(super) const SETTINGS: &[Known] = &[
     serve("network", "listen", "listen"),
     serve("network", "host", "host"),
@@ -80,7 +80,7 @@ pub(super) const SETTINGS: &[Known] = &[
     viewer("foresight", "kept_frames", "kept_frames"),
 ];
 
-/// What a section may hold, or which sections there are.
+/// The valid keys of a section, or the valid sections.
 pub(super) fn expected(section: &str) -> String {
     if section == BINDINGS {
         return Bindings::names().collect::<Vec<_>>().join(", ");
@@ -96,9 +96,9 @@ pub(super) fn expected(section: &str) -> String {
 
 /// The commands with settings.
 pub(super) const COMMANDS: [&str; 3] = ["serve", "view", "demo"];
-/// What `serve` reads.
+/// The file that `serve` reads.
 pub(super) const SERVER: &str = "server.toml";
-/// What `view` reads; `demo` reads both.
+/// The file that `view` reads; `demo` reads both.
 pub(super) const VIEWER: &str = "viewer.toml";
-/// The section of the viewer whose keys are the names of what can be bound.
+/// The viewer's section for bindings; its keys are the names of actions.
 pub(super) const BINDINGS: &str = "bindings";

@@ -1,9 +1,9 @@
-//! Settings that last: from files and the environment, beneath the flags of a command.
+//! Persistent settings from files and the environment, below the flags of a command.
 //!
-//! What holds is the last of: the program's default; the system's file; the user's; the file after `--config`; a variable
-//! `ISINGLASS_SECTION_KEY`; a flag. Each setting *is* a flag: its text becomes that flag's default, so that both are read by
-//! one parser and no setting can say what a flag cannot. Commands that only compute (`render`, `bench`, …) have none: what they
-//! make is said by their command line alone.
+//! The last of these wins: the program's default; the system's file; the user's file; the file after `--config`; a
+//! variable `ISINGLASS_SECTION_KEY`; a flag. Each setting *is* a flag: its text becomes that flag's default. So one
+//! parser reads both, and no setting can say what a flag cannot. Commands that only compute (`render`, `bench`, …)
+//! have no settings: their results depend on the command line alone.
 
 mod known;
 mod print;
@@ -23,7 +23,7 @@ use sources::{Origin, Sourced};
 
 pub(crate) use print::print;
 
-/// Adds the flags that all commands with settings have.
+/// Adds the flags of all commands with settings.
 pub(crate) fn with_flags(command: Command) -> Command {
     known::COMMANDS.iter().fold(command, |command, name| {
         command.mut_subcommand(name, |c| {
@@ -43,25 +43,25 @@ pub(crate) fn with_flags(command: Command) -> Command {
     })
 }
 
-/// What was found for the command that is called.
+/// The settings for the called command.
 #[derive(Default)]
 pub(crate) struct Settings {
-    /// The command; none if it has no settings.
+    /// The command; `None` if it has no settings.
     command: Option<&'static str>,
-    /// The texts that hold, with the setting each is of.
+    /// The effective texts, with their settings.
     held: Vec<(&'static Known, Sourced)>,
-    /// What keys and mouse do.
+    /// Keys and mouse.
     pub(crate) bindings: Bindings,
-    /// Where each of them comes from that is not as it is unless somebody chooses.
+    /// The origins of bindings that differ from the defaults.
     bound: Vec<(String, Origin)>,
-    /// Whether they shall be printed.
+    /// Whether to print them.
     pub(crate) is_printed: bool,
 }
 
 impl Settings {
-    /// Reads what there is for the command in `arguments`, which `command` will parse.
+    /// Reads the settings for the command in `arguments`, which `command` will parse.
     pub(crate) fn read(command: &Command, arguments: &[OsString]) -> Result<Self> {
-        // Only which command it is, and its file: all mistakes are told when it is parsed in earnest.
+        // This only finds the command and its file; the real parse reports all mistakes.
         let Ok(called) = command.clone().ignore_errors(true).try_get_matches_from(arguments) else {
             return Ok(Self::default());
         };
@@ -78,14 +78,14 @@ impl Settings {
         if let Err(problem) = settings.bindings.check() {
             let BindingError::Conflict(_, a, b) = &problem else { bail!(problem) };
             let mut bound = settings.bound.iter().rev();
-            // One of the two was set, or they would not meet.
+            // One of the two was set, because defaults do not collide.
             let origin = bound.find(|(key, _)| key == a || key == b).map(|(_, origin)| origin.to_string());
             bail!("{}: {problem}", origin.unwrap_or_default());
         }
         Ok(settings)
     }
 
-    /// Checks a setting, whether it holds in the end or not, and lets it hold until another one comes.
+    /// Checks a setting, effective or not, and keeps it until another one overrides it.
     fn take(&mut self, command: &Command, name: &str, sourced: Sourced) -> Result<()> {
         let Sourced { section, key, origin, .. } = &sourced;
         if section == BINDINGS {
@@ -120,7 +120,7 @@ impl Settings {
         Ok(())
     }
 
-    /// The command line with these settings as what holds unless a flag is given.
+    /// The command line with these settings as defaults.
     pub(crate) fn apply(&self, command: Command) -> Command {
         let Some(name) = self.command else { return command };
         command.mut_subcommand(name, |mut command| {
@@ -129,7 +129,7 @@ impl Settings {
                 command = command.mut_arg(known.arg_in(name), |arg| arg.default_value(text));
             }
             if self.is_printed {
-                // Nothing will be served or seen.
+                // Printing serves and shows nothing, so no volume is required.
                 let required: Vec<_> = command.get_positionals().map(|a| a.get_id().clone()).collect();
                 for id in required {
                     command = command.mut_arg(id, |arg| arg.required(false));
@@ -140,7 +140,7 @@ impl Settings {
     }
 }
 
-/// `true` and `false` as the flags have it.
+/// `true` and `false` in the words of a flag.
 fn switch(text: &str) -> String {
     match text {
         "true" => "on".into(),
@@ -149,14 +149,14 @@ fn switch(text: &str) -> String {
     }
 }
 
-/// What the flag's own parser says against a text.
+/// The complaint of a flag's own parser about a text.
 fn problem_of(command: &Command, known: &Known, text: &str) -> Option<String> {
     let long = known.argument(command).get_long().expect("settings are long flags");
     let line = [OsString::from(command.get_name()), format!("--{long}={text}").into()];
     let error = command.clone().try_get_matches_from(line).err()?;
     match error.kind() {
         ErrorKind::InvalidValue | ErrorKind::ValueValidation => {}
-        // What is missing beside it is for the command line.
+        // The command line may supply what is missing.
         _ => return None,
     }
     if let Some(ContextValue::Strings(values)) = error.get(ContextKind::ValidValue)
@@ -172,7 +172,7 @@ fn shortened(text: &str) -> String {
     text.chars().take(60).collect()
 }
 
-/// Where an argument's value comes from, in words.
+/// The origin of an argument's value in words.
 fn origin_of(matches: &ArgMatches, settings: &Settings, known: &Known, id: &str) -> String {
     if matches.value_source(id) == Some(ValueSource::CommandLine) {
         return "flag".into();
@@ -182,5 +182,5 @@ fn origin_of(matches: &ArgMatches, settings: &Settings, known: &Known, id: &str)
 }
 
 const CONFIG: &str = "config";
-/// The name of the flag that asks for them.
+/// The name of the flag that prints them.
 pub(crate) const PRINT: &str = "print_config";

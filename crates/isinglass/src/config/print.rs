@@ -1,4 +1,4 @@
-//! The settings that hold, as a file of them.
+//! Prints the effective settings as a file.
 
 use anyhow::Result;
 use clap::ArgMatches;
@@ -9,7 +9,8 @@ use super::known::{BINDINGS, COMMANDS, SETTINGS};
 use super::{Settings, origin_of};
 use crate::report;
 
-/// Prints what holds for the command that `matches` are of, and where each comes from. What is printed can be used as a file.
+/// Prints the effective settings of the command behind `matches`, with the origin of each. The output is a valid
+/// file.
 pub(crate) fn print(matches: &ArgMatches, settings: &Settings) -> Result<()> {
     let Some((name, matches)) = matches.subcommand().filter(|(name, _)| COMMANDS.contains(name)) else {
         return Ok(());

@@ -1,4 +1,4 @@
-//! Where settings come from, in the order in which each holds over the one before.
+//! The sources of settings; each overrides the ones before.
 
 use std::env;
 use std::fmt;
@@ -9,7 +9,7 @@ use isinglass_formats::{SettingValue, read_settings};
 
 use super::known::{BINDINGS, SERVER, SETTINGS, VIEWER, expected};
 
-/// A setting and its place.
+/// A setting and its origin.
 #[derive(Clone, Debug)]
 pub(super) struct Sourced {
     pub(super) section: String,
@@ -19,7 +19,7 @@ pub(super) struct Sourced {
 }
 
 impl Sourced {
-    /// One value.
+    /// The value, if there is exactly one.
     pub(super) fn text(&self) -> Option<&str> {
         match &self.value {
             SettingValue::Text(text) => Some(text),
@@ -27,7 +27,7 @@ impl Sourced {
         }
     }
 
-    /// Several; one with commas, as variables have them, is several too.
+    /// All values; a variable separates several by commas.
     pub(super) fn list(&self) -> Vec<String> {
         match &self.value {
             SettingValue::List(items) => items.clone(),
@@ -38,12 +38,12 @@ impl Sourced {
     }
 }
 
-/// Who says so.
+/// Where a setting comes from.
 #[derive(Clone, Debug)]
 pub(super) enum Origin {
     /// A line of a file.
     File(PathBuf, usize),
-    /// A variable of the environment.
+    /// An environment variable.
     Variable(String),
 }
 
@@ -64,7 +64,7 @@ impl fmt::Display for Origin {
     }
 }
 
-/// Everything that is said to the command `name`, the last word last. `given` is the file after `--config`.
+/// All settings for the command `name`, the strongest last. `given` is the file after `--config`.
 pub(super) fn all(name: &str, given: Option<&Path>) -> Result<Vec<Sourced>> {
     let files: &[&str] = match name {
         "serve" => &[SERVER],
@@ -97,7 +97,7 @@ pub(super) fn all(name: &str, given: Option<&Path>) -> Result<Vec<Sourced>> {
     Ok(found)
 }
 
-/// Whether a known setting is one of that file's. Others are told later, by name.
+/// Whether a known setting belongs into that file. Unknown ones are reported later, by name.
 fn belongs(setting: &Sourced, file: &str) -> bool {
     if setting.section == BINDINGS {
         return file == VIEWER;
@@ -117,7 +117,7 @@ fn in_file(path: &Path) -> Result<Option<Vec<Sourced>>> {
     Ok(Some(sourced.collect()))
 }
 
-/// The variables `ISINGLASS_SECTION_KEY`. Others that begin so are other people's, unless their section is one of ours.
+/// The variables `ISINGLASS_SECTION_KEY`. Others with this prefix are ignored unless their section is one of ours.
 fn in_environment() -> Result<Vec<Sourced>> {
     let mut found = Vec::new();
     for (name, value) in env::vars_os() {
@@ -146,12 +146,12 @@ fn in_environment() -> Result<Vec<Sourced>> {
             origin: Origin::Variable(name.to_owned()),
         });
     }
-    // In an order of their own, so that errors are the same each time.
+    // Sorting gives the same errors each time.
     found.sort_by_key(|s| s.origin.to_string());
     Ok(found)
 }
 
-/// The folder of the whole machine's settings; [`SYSTEM_VARIABLE`] names another.
+/// The folder of the machine's settings; [`SYSTEM_VARIABLE`] overrides it.
 fn system_folder() -> Option<PathBuf> {
     if let Some(folder) = env::var_os(SYSTEM_VARIABLE) {
         return Some(folder.into());
@@ -180,5 +180,5 @@ fn user_folder() -> Option<PathBuf> {
     Some(folder.join("isinglass"))
 }
 
-/// Names another folder than the system's own.
+/// The variable that overrides the system's folder.
 const SYSTEM_VARIABLE: &str = "ISINGLASS_SYSTEM_CONFIG";

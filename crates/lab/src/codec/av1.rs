@@ -32,7 +32,7 @@ impl ImageCodec for Av1 {
 
     fn code(&self, raster: &Raster, level: usize) -> Result<Coded, LabError> {
         let encode = || {
-            let mut stream = Stream::new(raster, self.speed, QUANTIZERS[level], Kind::Still)?;
+            let mut stream = Av1Stream::new(raster, self.speed, QUANTIZERS[level], Kind::Still)?;
             let mut packets = stream.push(raster)?;
             packets.extend(stream.finish()?);
             Ok(packets)
@@ -66,13 +66,13 @@ pub(crate) struct Picture {
 }
 
 /// An encoder of pictures of one size.
-pub(crate) struct Stream {
+pub(crate) struct Av1Stream {
     context: Context<u16>,
     /// Shape of the pictures, without samples.
     shape: Raster,
 }
 
-impl Stream {
+impl Av1Stream {
     /// Pictures are to be shaped like `like`.
     pub(crate) fn new(like: &Raster, speed: u8, quantizer: usize, kind: Kind) -> Result<Self, LabError> {
         let mut config = EncoderConfig::with_speed_preset(speed);
@@ -213,13 +213,13 @@ mod tests {
     #[test]
     fn a_picture_that_stays_costs_next_to_nothing_in_a_sequence() {
         let given = raster(96, 80, 3, 10);
-        let mut stream = Stream::new(&given, 10, 85, Kind::Sequence).unwrap();
+        let mut stream = Av1Stream::new(&given, 10, 85, Kind::Sequence).unwrap();
         let mut pictures: Vec<Picture> = (0..4).flat_map(|_| stream.push(&given).unwrap()).collect();
         pictures.extend(stream.finish().unwrap());
         assert_eq!(pictures.iter().map(|p| p.index).collect::<Vec<_>>(), [0, 1, 2, 3]);
         assert!(pictures[3].bytes * 5 < pictures[0].bytes, "{pictures:?}");
         assert!(pictures.iter().all(|p| p.decoded.is_some()));
-        let mut other = Stream::new(&given, 10, 85, Kind::Sequence).unwrap();
+        let mut other = Av1Stream::new(&given, 10, 85, Kind::Sequence).unwrap();
         let changed = raster(80, 96, 3, 10);
         let turned = Raster { width: 96, height: 80, ..changed };
         let mut pictures = other.push(&given).unwrap();

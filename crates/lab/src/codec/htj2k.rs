@@ -12,7 +12,7 @@ use openjph_core::types::{Point, Size};
 
 use super::raster::{Coded, ImageCodec, Raster, code_through_bytes};
 use crate::error::LabError;
-use isinglass_bench::output::one_line;
+use isinglass_core::wire::control::one_line;
 
 /// HTJ2K.
 pub(crate) struct Htj2k;

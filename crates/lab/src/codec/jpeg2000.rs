@@ -65,7 +65,7 @@ fn encode(raster: &Raster, psnr_db: f32) -> Result<Vec<u8>, LabError> {
         unsafe { sys::opj_create_compress(sys::CODEC_FORMAT::OPJ_CODEC_J2K) }
     })?;
     let mut memory = Memory::default();
-    let stream = Stream::new(&mut memory, false)?;
+    let stream = MemoryStream::new(&mut memory, false)?;
     // SAFETY: codec, image and stream live until the end of this function; each was checked not to be null.
     let is_done = unsafe {
         sys::opj_setup_encoder(codec.0, &mut parameters, image.0) != 0
@@ -89,7 +89,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Raster, LabError> {
         parameters.assume_init()
     };
     let mut memory = Memory { bytes: bytes.to_vec(), at: 0 };
-    let stream = Stream::new(&mut memory, true)?;
+    let stream = MemoryStream::new(&mut memory, true)?;
     let mut image = Image(ptr::null_mut());
     // SAFETY: codec and stream live until the end of this function; the image is freed by its owner, whether it was made
     // or not.
@@ -205,9 +205,9 @@ struct Memory {
 }
 
 /// A stream from or to memory. It must be dropped before the memory is looked at again.
-struct Stream<'a>(*mut sys::opj_stream_t, std::marker::PhantomData<&'a mut Memory>);
+struct MemoryStream<'a>(*mut sys::opj_stream_t, std::marker::PhantomData<&'a mut Memory>);
 
-impl<'a> Stream<'a> {
+impl<'a> MemoryStream<'a> {
     fn new(memory: &'a mut Memory, is_input: bool) -> Result<Self, LabError> {
         let length = memory.bytes.len() as u64;
         // SAFETY: the memory outlives the stream by the lifetime; the functions below are those of its type.
@@ -227,7 +227,7 @@ impl<'a> Stream<'a> {
     }
 }
 
-impl Drop for Stream<'_> {
+impl Drop for MemoryStream<'_> {
     fn drop(&mut self) {
         // SAFETY: not null, and nobody else has it.
         unsafe { sys::opj_stream_destroy(self.0) };

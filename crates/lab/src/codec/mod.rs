@@ -102,7 +102,7 @@ impl CodecOptions {
 #[derive(Clone, Debug, Serialize)]
 pub struct CodecReport {
     /// What holds for all points.
-    pub conditions: Conditions,
+    pub conditions: CodecConditions,
     /// Frames that no codec has touched.
     pub uncoded: Vec<Uncoded>,
     /// Every setting that was measured: in JSON a row for each turn.
@@ -122,7 +122,7 @@ pub struct CodecReport {
 
 /// What holds for all points of a report.
 #[derive(Clone, Debug, Serialize)]
-pub struct Conditions {
+pub struct CodecConditions {
     /// What holds for any table of pictures; the threads are those that code.
     #[serde(flatten)]
     pub subject: SubjectConditions,
@@ -299,7 +299,7 @@ pub fn run(options: &CodecOptions) -> Result<CodecReport, LabError> {
     mark_fronts(&mut points, &options.subject.angles_degrees);
     let bd_rates = anchor.map(|anchor| compare(&points, anchor, options)).unwrap_or_default();
     let bd_means = means(&bd_rates);
-    let conditions = Conditions {
+    let conditions = CodecConditions {
         subject: options.subject.conditions(THREADS, failures.lines(uncoded.is_empty())?),
         backend: backend.description(),
         clock_mhz,

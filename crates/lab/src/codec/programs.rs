@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use super::raster::{Coded, ImageCodec, Raster, png_from_raster, raster_from_png};
 use crate::error::LabError;
-use isinglass_bench::output::one_line;
+use isinglass_core::wire::control::one_line;
 
 /// A codec that is a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

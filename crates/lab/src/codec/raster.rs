@@ -7,7 +7,7 @@ use image::{ColorType, ExtendedColorType, ImageEncoder, ImageFormat, ImageReader
 
 use super::clock::timed;
 use crate::error::LabError;
-use isinglass_bench::output::one_line;
+use isinglass_core::wire::control::one_line;
 
 /// Samples of one channel or of three, side by side.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use isinglass_core::kernels::layering::close::{MIN_UNITS, segment_behind};
 use isinglass_core::kernels::layering::gather_rows;
-use isinglass_core::kernels::march::{Marcher, Pace, Scene, Sink, Step, Texels, with_texels};
+use isinglass_core::kernels::march::{Advance, Marcher, Scene, Sink, Step, Texels, with_texels};
 use isinglass_core::layer::{DEPTH_UNITS, FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
 
@@ -34,9 +34,9 @@ pub enum AllSamplesError {
 struct All(Vec<Step>);
 
 impl Sink for All {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.0.push(step);
-        Pace::Step
+        Advance::Step
     }
 }
 

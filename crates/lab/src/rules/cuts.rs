@@ -3,13 +3,13 @@
 //! All matter between two planes is one segment; without matter there is none. A step that a plane falls into is split
 //! as a homogeneous medium.
 
-use isinglass_core::kernels::march::{Pace, Sink, Step, TAU_MIN};
+use isinglass_core::kernels::march::{Advance, Sink, Step, TAU_MIN};
 
 use super::{OpenSegment, SegmentList, append, split};
 
 /// Cuts the content of one ray.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Cuts {
+pub(super) struct PlaneCuts {
     k: usize,
     /// World distance of plane 0.
     first: f32,
@@ -24,7 +24,7 @@ pub(super) struct Cuts {
     list: SegmentList,
 }
 
-impl Cuts {
+impl PlaneCuts {
     /// `k` intervals of the given length from the distance `first` on; the last takes whatever is behind it too.
     pub(super) fn new(k: usize, first: f32, length: f32, spans_all: bool) -> Self {
         let (open, list) = (OpenSegment::default(), SegmentList::default());
@@ -65,8 +65,8 @@ impl Cuts {
     }
 }
 
-impl Sink for Cuts {
-    fn step(&mut self, step: Step) -> Pace {
+impl Sink for PlaneCuts {
+    fn step(&mut self, step: Step) -> Advance {
         let mut rest = step;
         while self.i + 1 < self.k && rest.s1 > self.plane(self.i + 1) {
             let part = (self.plane(self.i + 1) - rest.s0) / (rest.s1 - rest.s0);
@@ -77,6 +77,6 @@ impl Sink for Cuts {
         }
         self.extend(&rest);
         self.transmittance *= 1.0 - step.alpha;
-        Pace::behind(self.transmittance)
+        Advance::behind(self.transmittance)
     }
 }

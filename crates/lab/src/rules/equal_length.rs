@@ -3,9 +3,9 @@
 //! March 1 finds where the content begins and ends, march 2 cuts it ([`super::cuts`]). Brady composites every segment of
 //! a ray on its own, whatever is in front of it, so matter behind opaque matter is kept.
 
-use isinglass_core::kernels::march::{Pace, Sink, Step};
+use isinglass_core::kernels::march::{Advance, Sink, Step};
 
-use super::cuts::Cuts;
+use super::cuts::PlaneCuts;
 
 /// March 1: where the content of a ray begins and ends.
 #[derive(Clone, Copy, Debug)]
@@ -23,17 +23,17 @@ impl Default for Extent {
 
 impl Extent {
     /// March 2: `k` segments from end to end. `None` if there is no content.
-    pub(super) fn cuts(&self, k: usize) -> Option<Cuts> {
+    pub(super) fn cuts(&self, k: usize) -> Option<PlaneCuts> {
         let length = (self.s_last - self.s_first) / k as f32;
-        (length > 0.0).then(|| Cuts::new(k, self.s_first, length, true))
+        (length > 0.0).then(|| PlaneCuts::new(k, self.s_first, length, true))
     }
 }
 
 impl Sink for Extent {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.s_first = self.s_first.min(step.s0);
         self.s_last = step.s1;
         self.transmittance *= 1.0 - step.alpha;
-        Pace::behind(self.transmittance)
+        Advance::behind(self.transmittance)
     }
 }

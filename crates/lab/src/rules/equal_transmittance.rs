@@ -1,10 +1,10 @@
 //! Cuts at equal shares of the accumulated opacity (Lochmann 2016, section 3.1).
 //!
 //! March 1 finds the opacity of the whole ray; march 2 cuts where (1 − κ(s))/(1 − κ(∞)) reaches i/k, so the k
-//! segments run without a gap from the first to the last content and each adds an equal share (design, trap 2). A
+//! segments run without a gap from the first to the last content and each adds an equal share. A
 //! step that a cut falls into is split as a homogeneous medium. As published, nothing is kept behind opaque matter.
 
-use isinglass_core::kernels::march::{Pace, Sink, Step, TRANSMITTANCE_MIN};
+use isinglass_core::kernels::march::{Advance, Sink, Step, TRANSMITTANCE_MIN};
 
 use super::{OpenSegment, SegmentList, append, split};
 
@@ -22,16 +22,20 @@ impl Default for Profile {
 }
 
 impl Sink for Profile {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.transmittance *= 1.0 - step.alpha;
         self.s_last = step.s1;
-        if self.transmittance > TRANSMITTANCE_MIN { Pace::behind(self.transmittance) } else { Pace::Stop }
+        if self.transmittance > TRANSMITTANCE_MIN {
+            Advance::behind(self.transmittance)
+        } else {
+            Advance::Stop
+        }
     }
 }
 
 /// March 2: cuts the content.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Cuts {
+pub(super) struct TransmittanceCuts {
     k: usize,
     profile: Profile,
     /// Optical depth from the start of the content to the next cut.
@@ -41,7 +45,7 @@ pub(super) struct Cuts {
     list: SegmentList,
 }
 
-impl Cuts {
+impl TransmittanceCuts {
     /// At most `k` segments for a ray with the given profile.
     pub(super) fn new(k: usize, profile: Profile) -> Self {
         let mut cuts =
@@ -74,8 +78,8 @@ impl Cuts {
     }
 }
 
-impl Sink for Cuts {
-    fn step(&mut self, step: Step) -> Pace {
+impl Sink for TransmittanceCuts {
+    fn step(&mut self, step: Step) -> Advance {
         let mut rest = step;
         while self.tau_total + rest.tau > self.tau_cut && self.list.len + 1 < self.k {
             let part = ((self.tau_cut - self.tau_total) / rest.tau).clamp(0.0, 1.0);
@@ -92,6 +96,6 @@ impl Sink for Cuts {
         }
         self.extend(&rest);
         self.tau_total += rest.tau;
-        if step.s1 < self.profile.s_last { Pace::behind((-self.tau_total).exp()) } else { Pace::Stop }
+        if step.s1 < self.profile.s_last { Advance::behind((-self.tau_total).exp()) } else { Advance::Stop }
     }
 }

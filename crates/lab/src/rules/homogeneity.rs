@@ -10,7 +10,7 @@
 //! like a sample, transparent ones being black, and ends a segment only if it differs. Whatever threshold is found, the
 //! K-th segment takes what is left.
 
-use isinglass_core::kernels::march::{Pace, Sink, Step};
+use isinglass_core::kernels::march::{Advance, Sink, Step};
 use isinglass_core::kernels::raycast::opacity;
 
 use super::{OpenSegment, SegmentList, append};
@@ -63,7 +63,7 @@ impl Homogeneity {
 }
 
 impl Sink for Homogeneity {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         // Half a step: lattice points are equal up to rounding.
         let has_gap = step.s0 > self.open.s1 + 0.5 * self.h;
         if self.count == 0 || has_gap {
@@ -77,7 +77,7 @@ impl Sink for Homogeneity {
             append(&mut self.open, &step);
         }
         self.transmittance *= 1.0 - step.alpha;
-        Pace::behind(self.transmittance)
+        Advance::behind(self.transmittance)
     }
 }
 

@@ -9,7 +9,7 @@ use super::single_depth::{SingleDepth, THRESHOLD_SHARE};
 use super::*;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::layering::budget::longest_list;
-use isinglass_core::kernels::march::{MarchSettings, Pace, Sink, TRANSMITTANCE_MIN};
+use isinglass_core::kernels::march::{Advance, MarchSettings, Sink, TRANSMITTANCE_MIN};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Volume, Voxels};
@@ -54,13 +54,13 @@ impl Record {
 }
 
 impl Sink for Record {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.steps.push((step, self.transmittance.into()));
         self.transmittance *= 1.0 - step.alpha;
         match self.goes_on {
-            true => Pace::behind(self.transmittance),
-            false if self.transmittance > TRANSMITTANCE_MIN => Pace::Step,
-            false => Pace::Stop,
+            true => Advance::behind(self.transmittance),
+            false if self.transmittance > TRANSMITTANCE_MIN => Advance::Step,
+            false => Advance::Stop,
         }
     }
 }

@@ -143,7 +143,7 @@ impl layering::Rule for Rule {
             Self::EqualTransmittance => {
                 let mut profile = equal_transmittance::Profile::default();
                 of.march(&mut profile);
-                let mut cuts = equal_transmittance::Cuts::new(k, profile);
+                let mut cuts = equal_transmittance::TransmittanceCuts::new(k, profile);
                 of.march(&mut cuts);
                 cuts.finish()
             }

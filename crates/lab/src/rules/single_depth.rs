@@ -3,7 +3,7 @@
 //! As in the renderings that the source sends, the ray ends where nothing behind is seen. The segment is as thin as
 //! depths are stored.
 
-use isinglass_core::kernels::march::{Pace, Sink, Step, TRANSMITTANCE_MIN};
+use isinglass_core::kernels::march::{Advance, Sink, Step, TRANSMITTANCE_MIN};
 
 use super::{OpenSegment, SegmentList, append};
 
@@ -110,7 +110,7 @@ impl SingleDepth {
 }
 
 impl Sink for SingleDepth {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         if self.weight == 0.0 {
             self.all.s0 = step.s0;
         }
@@ -126,7 +126,7 @@ impl Sink for SingleDepth {
         if self.all.alpha >= self.alpha_sought && self.s_sought.is_none() {
             self.s_sought = Some(middle);
         }
-        if self.transmittance > TRANSMITTANCE_MIN { Pace::Step } else { Pace::Stop }
+        if self.transmittance > TRANSMITTANCE_MIN { Advance::Step } else { Advance::Stop }
     }
 }
 

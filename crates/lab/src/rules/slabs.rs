@@ -7,13 +7,13 @@
 use isinglass_core::camera::Basis;
 use isinglass_core::space::Aabb;
 
-use super::cuts::Cuts;
+use super::cuts::PlaneCuts;
 
 /// Cuts a ray at the planes of `k` slabs. `s_per_depth` is the ray's distance per unit of view depth.
-pub(super) fn cuts(k: usize, basis: &Basis, near: f32, bounds: &Aabb, s_per_depth: f32) -> Cuts {
+pub(super) fn cuts(k: usize, basis: &Basis, near: f32, bounds: &Aabb, s_per_depth: f32) -> PlaneCuts {
     let middle = (bounds.center() - basis.eye).dot(basis.forward);
     let reach = ((bounds.max - bounds.min) * 0.5).dot(basis.forward.abs());
     let first = (middle - reach).max(near);
     let thickness = (middle + reach - first) / k as f32;
-    Cuts::new(k, first * s_per_depth, thickness * s_per_depth, false)
+    PlaneCuts::new(k, first * s_per_depth, thickness * s_per_depth, false)
 }

@@ -1,4 +1,4 @@
-//! Reading the streams of chunks.
+//! Reads the streams of chunks.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,7 +11,7 @@ use quinn::{Connection, RecvStream};
 use super::{Shared, screenshot};
 use crate::transport::{RESET_SUPERSEDED, STOP_UNUSABLE};
 
-/// Reads all streams of a connection, each in its own task, until the connection is over.
+/// Reads each stream of a connection in a task of its own, until the connection ends.
 pub(super) async fn read_all(shared: &Arc<Shared>, connection: &Connection, number: u32) {
     let budget = Arc::new(AtomicUsize::new(0));
     while let Ok(stream) = connection.accept_uni().await {
@@ -24,7 +24,7 @@ pub(super) async fn read_all(shared: &Arc<Shared>, connection: &Connection, numb
     }
 }
 
-/// Reads one chunk. A stream that is reset, superseded or cut off by the end of the connection is no error.
+/// Reads one chunk. A stream that is reset, superseded or cut off by the connection's end is no error.
 async fn read(
     shared: &Shared,
     mut stream: RecvStream,
@@ -72,7 +72,8 @@ async fn read(
     Ok(())
 }
 
-/// Whether others can be predicted from the frame: chunks of their own for corrections may never come.
+/// Whether others can be predicted from the frame. Chunks that only correct it are exempt, because they may never
+/// come.
 fn is_predicting(header: &codec::ChunkHeader) -> bool {
     header.is_rate() && header.num_chunks == header.num_base
 }
@@ -90,7 +91,7 @@ fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
     }
 }
 
-/// Bytes that all streams of a connection hold together while they are read.
+/// Bytes that all streams of a connection hold while they are read.
 pub(super) struct Budget {
     total: Arc<AtomicUsize>,
     taken: usize,

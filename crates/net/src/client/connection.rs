@@ -1,4 +1,4 @@
-//! Making a connection, driving it, and coming back after it was lost.
+//! Makes a connection, drives it, and reconnects after a loss.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -27,20 +27,20 @@ use crate::link::Link;
 use crate::talk::until_due;
 use crate::transport::{self, AUTH_DEADLINE, SILENCE_LIMIT};
 
-/// Whom to call, and what to say.
+/// The server's address and the content of the hello.
 pub(super) struct Dialer {
     link: Link,
     name: String,
     conditioner: Option<LinkModel>,
     config: quinn::ClientConfig,
     mismatch: Arc<Mismatch>,
-    /// The link's token first, then the last ticket.
+    /// The link's token first, later the newest ticket.
     token: Token,
     instance: Token,
     random: Xoshiro256PlusPlus,
 }
 
-/// A connection that has said hello and was welcomed.
+/// A connection that was welcomed.
 struct Dialed {
     endpoint: Endpoint,
     connection: Connection,
@@ -107,7 +107,7 @@ impl Dialer {
         }
     }
 
-    /// Tries all addresses of the host, each a quarter of a second after the one before; the first to answer counts.
+    /// Tries all addresses of the host, each a quarter of a second after the previous one; the first answer counts.
     async fn shake_hands(&self, shared: &Arc<Shared>) -> Result<(Endpoint, Connection), ConnectError> {
         let Link { host, port, .. } = &self.link;
         let resolve = |problem: String| ConnectError::Resolve { host: host.clone(), problem };
@@ -167,7 +167,7 @@ impl Dialer {
         ConnectError::NoAnswer { host: self.link.host.clone(), port: self.link.port }
     }
 
-    /// What the end of a connection means.
+    /// The meaning of a connection's end.
     fn explain(&self, error: &ConnectionError) -> ConnectError {
         let Link { host, port, fingerprint, .. } = &self.link;
         if let Some(found) = self.mismatch.found() {
@@ -213,7 +213,7 @@ enum Failure {
     Silence,
 }
 
-/// The network thread's whole life.
+/// The whole life of the network thread.
 pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
     let mut stop = shared.stop.subscribe();
     let stopped = async move { stop.wait_for(|s| *s).await.map(drop).unwrap_or_default() };
@@ -247,7 +247,7 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
                         let reason = match closed {
                             Ok(reason) => reason,
                             Err(_) => {
-                                // The stream alone has ended.
+                                // Only the stream has ended.
                                 dialed
                                     .connection
                                     .close(transport::CLOSE_PROTOCOL, b"the control stream ended");
@@ -297,7 +297,7 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
     }
 }
 
-/// Why a connection is not driven any more.
+/// Why a connection is no longer driven.
 enum Ended {
     Connection,
     Problem(ConnectError),
@@ -381,7 +381,7 @@ async fn send_poses(shared: &Shared, connection: &Connection) {
     }
 }
 
-/// Reads the connection's numbers; returns when nothing has come for too long.
+/// Reads the connection's statistics; returns after too long a silence.
 async fn watch_link(shared: &Shared, connection: &Connection) {
     let mut tick = tokio::time::interval(STATS_INTERVAL);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -415,7 +415,7 @@ async fn watch_link(shared: &Shared, connection: &Connection) {
     }
 }
 
-/// Lets the last packet leave.
+/// Waits for the last packet to leave.
 async fn say_goodbye(endpoint: &Endpoint) {
     let _ = timeout(Duration::from_millis(100), endpoint.wait_idle()).await;
 }
@@ -423,9 +423,9 @@ async fn say_goodbye(endpoint: &Endpoint) {
 /// The TLS alert `no_application_protocol`, which QUIC carries in a crypto error (RFC 9001, section 4.8).
 const NO_COMMON_ALPN: u8 = 120;
 const STATS_INTERVAL: Duration = Duration::from_millis(200);
-/// Why a connection is closed comes with the end of its streams, or soon after.
+/// Time for a connection's close reason to arrive after the end of its streams.
 const REASON_WAIT: Duration = Duration::from_secs(1);
-/// Between the addresses of a host.
+/// Delay between attempts at the addresses of a host.
 const HEAD_START: Duration = Duration::from_millis(250);
-/// Addresses of a host that are tried.
+/// Most addresses of a host that are tried.
 const MAX_ADDRESSES: usize = 4;

@@ -1,4 +1,4 @@
-//! The decoding thread: takes the newest frame that can be shown, decodes its chunks in parallel and puts it up.
+//! The decoding thread: it takes the newest decodable frame, decodes its chunks in parallel and publishes it.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -15,12 +15,12 @@ use crate::work::Work;
 
 /// Decodes until the client stops.
 pub(super) fn run(shared: &Shared) {
-    // The frame of the job before, for the refinements that come in the next one.
+    // The frame of the previous job, for its refinements in the next one.
     let mut assembly = None;
     let mut references = References::default();
     let mut given = Given::default();
     let mut connection = 0;
-    // While the connection is made.
+    // This runs while the connection is made.
     codec::prepare();
     while let Some(job) = next_job(shared) {
         let _span = tracing::debug_span!("frame", frame = job.frame.0).entered();
@@ -32,7 +32,7 @@ pub(super) fn run(shared: &Shared) {
         if job.is_first {
             assembly = None;
         }
-        // Even a defect costs a frame only, and not all those to come.
+        // Even a panic costs only one frame.
         let begun_micros = shared.clock.now_micros();
         let mut spare = given.take();
         let attempt = shared.after_work.run(Work::Decode, || {
@@ -72,7 +72,7 @@ pub(super) fn run(shared: &Shared) {
     }
 }
 
-/// Waits for something to decode; `None` when the client stops.
+/// Waits for the next job; `None` when the client stops.
 fn next_job(shared: &Shared) -> Option<DecodeJob> {
     let mut chunks = shared.chunks();
     loop {
@@ -89,7 +89,7 @@ fn next_job(shared: &Shared) -> Option<DecodeJob> {
     }
 }
 
-/// The last frames that were put up: when nobody looks at one any more, its memory is another's.
+/// Recently published frames. When nobody uses one any more, its memory is recycled.
 #[derive(Default)]
 struct Given(VecDeque<Arc<ReceivedFrame>>);
 
@@ -101,22 +101,22 @@ impl Given {
         }
     }
 
-    /// A frame that nobody has.
+    /// Takes a frame that nobody uses.
     fn take(&mut self) -> Option<LayeredFrame> {
         let at = self.0.iter().position(|frame| Arc::strong_count(frame) == 1)?;
         Some(Arc::into_inner(self.0.remove(at)?)?.frame)
     }
 }
 
-/// A frame as far as it is there.
+/// A frame, complete or not.
 struct Decoded {
     frame: LayeredFrame,
-    /// If it is all there, and others may be predicted from it.
+    /// Set if the frame is complete and others may be predicted from it.
     reference: Option<Arc<Reference>>,
     is_exact: bool,
 }
 
-/// Adds the job's chunks to the frame, or begins it, in the memory of one that is no longer needed. `None` if there are none.
+/// Adds the job's chunks to the frame, or begins one in recycled memory. `None` without any chunks.
 fn decode(
     assembly: &mut Option<Assembly>,
     job: &DecodeJob,
@@ -137,7 +137,7 @@ fn decode(
     }))
 }
 
-/// The newest is looked at, the one before may still be, and one may be kept for what it sees of the volume.
+/// The viewer shows the newest, may still use the previous one, and may keep one more.
 const MAX_GIVEN: usize = 3;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Why a connection is not there.
+//! Why there is no connection.
 
 use std::time::Duration;
 
@@ -7,15 +7,15 @@ use isinglass_core::wire::Refusal;
 use crate::identity::Fingerprint;
 use crate::link::place_of;
 
-/// Why there is no connection. The text is for the person at the viewer.
+/// Why there is no connection. The user at the viewer reads the text.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ConnectError {
-    /// The name has no address.
+    /// The name does not resolve.
     #[error("cannot find '{host}': {problem}")]
     Resolve {
         /// The name.
         host: String,
-        /// What the system says.
+        /// The system's message.
         problem: String,
     },
     /// Nothing came back.
@@ -28,7 +28,7 @@ pub enum ConnectError {
         /// UDP port.
         port: u16,
     },
-    /// Another certificate than the link's.
+    /// The certificate is not that of the link.
     #[error(
         "the certificate at {} is not the link's (expected {expected}, found {found}): the server was \
          started again and printed a new link, or someone is in between",
@@ -39,24 +39,24 @@ pub enum ConnectError {
         host: String,
         /// UDP port.
         port: u16,
-        /// Of the link.
+        /// Fingerprint in the link.
         expected: Fingerprint,
-        /// Of the server.
+        /// Fingerprint of the server.
         found: Fingerprint,
     },
-    /// The server speaks no version that this client does.
+    /// The server speaks no version that this client knows.
     #[error("the server does not speak this viewer's protocol; install the same version on both")]
     Version,
-    /// The server says no.
+    /// The server refuses.
     #[error("{0}")]
     Refused(Refusal),
-    /// The server has too many connections to look at another one.
+    /// The server has too many pending connections.
     #[error("the server is too busy to take connections")]
     Busy,
     /// The same viewer has connected from elsewhere.
     #[error("this viewer has connected again from elsewhere")]
     Replaced,
-    /// What the server sent cannot be understood.
+    /// The server sent something unreadable.
     #[error("the server broke the protocol: {0}")]
     Protocol(String),
     /// The connection ended.
@@ -65,13 +65,13 @@ pub enum ConnectError {
     /// This machine cannot send.
     #[error("cannot open a UDP socket: {0}")]
     Socket(String),
-    /// Nothing was decided in the time given.
+    /// There was no result in the given time.
     #[error("not connected within {0:?}")]
     Undecided(Duration),
 }
 
 impl ConnectError {
-    /// Whether trying again may help, with nothing changed on this side.
+    /// Whether a retry without changes on this side may succeed.
     pub fn is_temporary(&self) -> bool {
         match self {
             Self::Certificate { .. } | Self::Version | Self::Replaced => false,

@@ -1,7 +1,8 @@
-//! The client: keeps a connection up and the newest frame at hand, and never makes its caller wait.
+//! The client: it keeps a connection up and the newest frame ready, and never blocks its caller.
 //!
-//! One thread drives the network, another decodes. All that is said goes through one lock, which every thread holds for
-//! moments. A lost connection changes the state and nothing else: the last frame stays, and the client comes back by itself.
+//! One thread drives the network, another decodes. They share the session behind one lock that is only held for
+//! moments. A lost connection changes the state and nothing else: the last frame stays, and the client reconnects by
+//! itself.
 
 mod chunks;
 mod connection;
@@ -34,18 +35,18 @@ use crate::work::AfterWork;
 pub use error::ConnectError;
 use status::{Status, StatusBoard};
 
-/// How to connect.
+/// Options of a client.
 #[derive(Clone)]
 pub struct ClientOptions {
     /// Name of this client, for the server's log.
     pub name: String,
-    /// A link with these properties is put under the connection.
+    /// Simulates a link with these properties.
     pub conditioner: Option<LinkModel>,
-    /// What all stamps are read from.
+    /// Clock of all stamps.
     pub clock: Clock,
-    /// What follows the decoding of chunks.
+    /// Hook after decoding.
     pub after_work: AfterWork,
-    /// Called, on a thread of the client, when there is a new frame or state. Must return at once.
+    /// Called on a thread of the client for each new frame or state. Must return at once.
     pub wake: Arc<dyn Fn() + Send + Sync>,
 }
 
@@ -71,42 +72,42 @@ impl std::fmt::Debug for ClientOptions {
     }
 }
 
-/// Why no client could be started.
+/// Why no client could start.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The link model cannot be used.
+    /// The link model is invalid.
     #[error("link conditioner: {0}")]
     Conditioner(#[from] LinkModelError),
-    /// The system gives no random numbers, or TLS cannot be set up.
+    /// The system provides no random numbers, or TLS cannot be set up.
     #[error(transparent)]
     Identity(#[from] crate::identity::IdentityError),
-    /// The system gives no thread or timer.
+    /// The system provides no thread or timer.
     #[error("cannot start the network thread: {0}")]
     Thread(#[from] std::io::Error),
 }
 
-/// Where the connection stands.
+/// The state of the connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum State {
     /// The first connection is being made.
     Connecting {
-        /// Counts from 1.
+        /// Number of the attempt, from 1.
         attempt: u32,
-        /// Why the attempt before failed.
+        /// Why the previous attempt failed.
         problem: Option<ConnectError>,
     },
-    /// Frames flow.
+    /// Frames arrive.
     Connected,
     /// The connection was lost; the last frame stays.
     Reconnecting {
-        /// When it was lost, on the client's clock.
+        /// Time of the loss on the client's clock, µs.
         since_micros: u64,
-        /// Counts from 1.
+        /// Number of the attempt, from 1.
         attempt: u32,
-        /// Why it was lost, or why the attempt before failed.
+        /// Why it was lost, or why the previous attempt failed.
         problem: ConnectError,
     },
-    /// There is no use in trying again.
+    /// A retry is useless.
     Refused(ConnectError),
 }
 
@@ -115,41 +116,41 @@ pub enum State {
 pub struct ReceivedFrame {
     /// The frame.
     pub frame: LayeredFrame,
-    /// Whether its refinements are there too. The same frame comes once more when they are.
+    /// Whether its refinements are included. If not, the same frame comes again with them.
     pub is_complete: bool,
-    /// Whether all lists and depths are the server's own.
+    /// Whether all lists and depths equal the server's.
     pub is_exact: bool,
-    /// Stamps of its life so far.
+    /// Its life so far.
     pub times: Life,
 }
 
 impl ReceivedFrame {
-    /// Whether it is of the volume that the session describes, and not of the one before.
+    /// Whether it shows the volume that the session describes, and not the previous one.
     pub fn is_of(&self, session: &ClientSession) -> bool {
         session.is_of_volume(self.times.connection, self.frame.header.look)
     }
 }
 
-/// What the overlay shows. Times are on the client's clock.
+/// Statistics for the overlay, on the client's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkStats {
     /// Round-trip time, smoothed, µs.
     pub rtt_micros: u64,
-    /// Bytes received in the last second or so.
+    /// Rate of received bytes over about the last second, bytes per second.
     pub bytes_per_second: f64,
     /// Frames decoded in the last second.
     pub frames_per_second: u32,
-    /// Chunks that could not be used.
+    /// Number of unusable chunks.
     pub broken_chunks: u64,
-    /// Since a packet came, µs.
+    /// Time since the last packet, µs.
     pub silence_micros: u64,
-    /// Packets that this side sent and lost.
+    /// Number of packets that this side sent and lost.
     pub lost_packets: u64,
-    /// What the newest frame cost the server.
+    /// The newest frame's cost at the server.
     pub server: ServerStats,
 }
 
-/// A handle on the connection. Dropping it says goodbye, which takes up to a quarter of a second.
+/// A handle on the connection. Dropping it says goodbye within a quarter of a second.
 pub struct Client {
     shared: Arc<Shared>,
     done: mpsc::Receiver<()>,
@@ -159,7 +160,7 @@ impl Client {
     /// Starts to connect, and returns at once.
     ///
     /// # Errors
-    /// If this machine cannot do it at all. What goes wrong with the connection is told by [`Client::state`].
+    /// If this machine cannot do it at all. Problems of the connection appear in [`Client::state`].
     pub fn connect(link: &Link, options: ClientOptions) -> Result<Self, ClientError> {
         if let Some(model) = &options.conditioner {
             model.validate()?;
@@ -183,7 +184,7 @@ impl Client {
         let for_network = shared.clone();
         std::thread::Builder::new().name("isinglass-net".into()).spawn(move || {
             runtime.block_on(connection::run(for_network, dialer));
-            // A name that is being resolved may take minutes.
+            // Resolving a name may take minutes, so nobody waits for it.
             runtime.shutdown_background();
             let _ = done_in.send(());
         })?;
@@ -195,12 +196,12 @@ impl Client {
         Ok(Self { shared, done })
     }
 
-    /// The conversation with the server: all that this viewer may say, and what it has heard.
+    /// The conversation with the server: everything that this viewer can say, and what it has heard.
     pub fn talk(&self) -> Talking<'_, ClientSession> {
         self.shared.talk.lock()
     }
 
-    /// Asks for frames from this pose, set now. The newest wins; an unusable pose is ignored. Returns the newest pose's
+    /// Requests frames from this pose. The newest wins; an unusable pose is ignored. Returns the newest pose's
     /// number.
     pub fn set_pose(&self, pose: Pose, intrinsics: Intrinsics) -> PoseId {
         let mut talk = self.talk();
@@ -210,46 +211,46 @@ impl Client {
         talk.pose.newest().map_or(PoseId(0), |newest| newest.id)
     }
 
-    /// Asks for another look, now.
+    /// Requests another look.
     ///
     /// # Errors
-    /// If the look cannot be used.
+    /// If the look is invalid.
     pub fn set_look(&self, look: Look) -> Result<(), LookError> {
         self.talk().look.set(self.shared.clock.now_micros(), look)
     }
 
-    /// The newest frame that can be shown, if there has been one.
+    /// The newest displayable frame, if any.
     pub fn latest_frame(&self) -> Option<Arc<ReceivedFrame>> {
         self.shared.frame.load_full()
     }
 
-    /// A frame of the present connection was on the screen: closes its ledger.
+    /// A frame of the present connection has appeared on the screen.
     pub fn note_shown(&self, frame: FrameId) {
         self.shared.chunks().handle_shown(self.shared.clock.now_micros(), frame);
     }
 
-    /// The lives of the last frames, oldest first.
+    /// The recent lives of frames, oldest first.
     pub fn ledger(&self) -> Vec<Life> {
         self.shared.chunks().ledger().iter().copied().collect()
     }
 
-    /// Where the connection stands.
+    /// The state of the connection.
     pub fn state(&self) -> State {
         self.shared.status.read().state.clone()
     }
 
-    /// What went wrong last with a chunk or message.
+    /// The last problem with a chunk or message.
     pub fn last_problem(&self) -> Option<String> {
         self.shared.status.read().last_problem.clone()
     }
 
-    /// What the overlay shows.
+    /// Statistics for the overlay.
     pub fn stats(&self) -> LinkStats {
         let server = self.talk().link.server_stats();
         LinkStats { server, ..self.shared.status.read().stats }
     }
 
-    /// What has become of the packets, if there is a conditioner.
+    /// Packet counters of the conditioner; zero without one.
     pub fn link_counters(&self) -> LinkCounters {
         self.shared.counters.read()
     }
@@ -259,10 +260,10 @@ impl Client {
         &self.shared.clock
     }
 
-    /// Waits until the server has let this client in, for callers without a display loop.
+    /// Blocks until the server admits this client, for callers without a display loop.
     ///
     /// # Errors
-    /// Why the first attempt failed, or that nothing was decided in time.
+    /// Why the first attempt failed, or that there was no result in time.
     pub fn wait_connected(&self, timeout: Duration) -> Result<Arc<Welcome>, ConnectError> {
         self.shared.status.wait_connected(timeout)
     }
@@ -271,7 +272,7 @@ impl Client {
 impl Drop for Client {
     fn drop(&mut self) {
         self.shared.stop();
-        // The goodbye is sent at once; a thread that is stuck in the system is left behind.
+        // The goodbye goes out at once; a thread that is stuck in the system is left behind.
         let _ = self.done.recv_timeout(Duration::from_millis(250));
     }
 }
@@ -282,8 +283,8 @@ impl std::fmt::Debug for Client {
     }
 }
 
-/// What the caller, the network thread and the decoding thread share. No lock is held while waiting for anything but the
-/// lock's own condition, and none while another is taken.
+/// What the caller, the network thread and the decoding thread share. No lock is held across a wait, except for its
+/// own condition, or while another is taken.
 struct Shared {
     clock: Clock,
     after_work: AfterWork,
@@ -303,13 +304,13 @@ impl Shared {
         lock(&self.chunks)
     }
 
-    /// Changes the status and tells everyone.
+    /// Changes the status and notifies everyone.
     fn update(&self, change: impl FnOnce(&mut Status)) {
         self.status.update(change);
         (self.wake)();
     }
 
-    /// Something of the server's could not be used.
+    /// Something from the server is unusable.
     fn note_broken_chunk(&self, problem: String) {
         tracing::warn!("{problem}");
         self.status.update(|status| {
@@ -321,7 +322,7 @@ impl Shared {
     fn stop(&self) {
         self.stop.send_replace(true);
         self.is_stopping.store(true, Ordering::Release);
-        // Taken and given back, so that the decoding thread is either before its check or in its wait.
+        // This lock makes sure that the decoding thread is before its check or in its wait.
         drop(self.chunks());
         self.decode_wanted.notify_all();
     }
@@ -331,7 +332,7 @@ impl Shared {
     }
 }
 
-/// A panic on another thread leaves state that is still in order: every change is one step.
+/// Every change is one step, so a panic on another thread leaves the state in order.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

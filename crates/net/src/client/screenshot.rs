@@ -1,4 +1,4 @@
-//! The way in of a picture to keep.
+//! Receives screenshots.
 
 use isinglass_core::wire::screenshot::{MAX_SCREENSHOT_BYTES, SCREENSHOT_HEADER_BYTES, screenshot_id};
 use quinn::RecvStream;
@@ -7,7 +7,7 @@ use super::Shared;
 use super::chunks::Budget;
 use crate::transport::STOP_UNUSABLE;
 
-/// Reads the rest of a stream that began with `bytes`, a picture by its first. One that is not waited for is not read.
+/// Reads the rest of a stream that began with `bytes`, unless nobody waits for the picture.
 pub(super) async fn read(
     shared: &Shared,
     mut stream: RecvStream,

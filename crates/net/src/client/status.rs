@@ -1,4 +1,4 @@
-//! Where the connection stands, and who waits for it.
+//! The status of the connection, and those who wait for it.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
@@ -7,7 +7,7 @@ use isinglass_core::wire::Welcome;
 
 use super::{ConnectError, LinkStats, State, lock};
 
-/// How the connection stands.
+/// The status of the connection.
 #[derive(Clone, Debug)]
 pub(super) struct Status {
     pub(super) state: State,
@@ -16,7 +16,7 @@ pub(super) struct Status {
     pub(super) stats: LinkStats,
 }
 
-/// The [`Status`], and who waits for a change of it.
+/// The [`Status`], with notification of changes.
 pub(super) struct StatusBoard {
     status: Mutex<Status>,
     changed: Condvar,
@@ -29,7 +29,7 @@ impl StatusBoard {
         Self { status: Mutex::new(status), changed: Condvar::new() }
     }
 
-    /// The status now.
+    /// The current status.
     pub(super) fn read(&self) -> MutexGuard<'_, Status> {
         lock(&self.status)
     }
@@ -40,13 +40,13 @@ impl StatusBoard {
         self.changed.notify_all();
     }
 
-    /// Waits until the server has let this client in.
+    /// Waits until the server admits this client.
     pub(super) fn wait_connected(&self, timeout: Duration) -> Result<Arc<Welcome>, ConnectError> {
         let deadline = Instant::now() + timeout;
         let mut status = self.read();
         loop {
             match (&status.state, &status.welcome) {
-                // Others are at the door at this moment; it is knocked at again.
+                // The server has too many pending connections at the moment; the client retries.
                 (State::Connecting { problem: Some(ConnectError::Busy), .. }, _)
                     if Instant::now() < deadline => {}
                 (State::Connecting { problem: Some(problem), .. } | State::Refused(problem), _) => {

@@ -1,8 +1,7 @@
-//! A link with delay, jitter, loss and a narrow pipe, under a real QUIC endpoint.
+//! A simulated link with delay, jitter, loss and a rate limit, under a real QUIC endpoint.
 //!
-//! [`LinkModel`] says what the link is like, [`Direction`] decides what becomes of each packet (without clock or
-//! I/O), and a socket under the client's endpoint carries it out in both directions. The server's endpoint knows
-//! nothing of it.
+//! [`LinkModel`] describes the link. [`Direction`] decides the fate of each packet, without clock or I/O. A socket
+//! under the client's endpoint applies it in both directions; the server's endpoint is unaware of it.
 
 mod model;
 mod socket;

@@ -1,4 +1,4 @@
-//! What becomes of a packet.
+//! The fate of a packet.
 
 use std::time::Duration;
 
@@ -8,24 +8,24 @@ use rand::{RngExt, SeedableRng};
 /// A link, the same in both directions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkModel {
-    /// Delay there and back; half of it each way.
+    /// Round-trip delay; each way has half of it.
     pub rtt: Duration,
-    /// Greatest additional delay each way, drawn evenly for each packet.
+    /// Greatest additional delay each way, uniformly distributed.
     pub jitter: Duration,
-    /// Probability that a packet is lost, each way, independent of the others.
+    /// Probability that a packet is lost, independent each way.
     pub loss: f64,
     /// Rate each way, 10⁶ bit/s; `None` for no limit.
     pub bandwidth_mbit: Option<f64>,
-    /// Longest wait in front of the pipe; packets beyond it are dropped.
+    /// Longest wait in the queue; packets beyond it are dropped.
     pub queue: Duration,
     /// Whether jitter may let packets overtake each other.
     pub reorder: bool,
-    /// Of the draws.
+    /// Seed of the random numbers.
     pub seed: u64,
 }
 
 impl Default for LinkModel {
-    /// A link that does nothing.
+    /// A link without any effect.
     fn default() -> Self {
         Self {
             rtt: Duration::ZERO,
@@ -39,30 +39,30 @@ impl Default for LinkModel {
     }
 }
 
-/// What is wrong with a link model.
+/// Why a link model is invalid.
 #[derive(Clone, Debug, thiserror::Error, PartialEq)]
 pub enum LinkModelError {
-    /// A delay is too long to be meant.
+    /// A delay is implausibly long.
     #[error("{what} is {found:?}, expected at most {MAX_DELAY:?}")]
     Delay {
-        /// Which one.
+        /// Its name.
         what: &'static str,
         /// Its value.
         found: Duration,
     },
-    /// The loss is no probability below one.
+    /// The loss is not a probability below one.
     #[error("loss is {0}, expected 0 to below 1")]
     Loss(f64),
-    /// The rate is no positive number.
+    /// The rate is not a positive number.
     #[error("bandwidth is {0} Mbit/s, expected more than 0.001")]
     Bandwidth(f64),
 }
 
 impl LinkModel {
-    /// Checks what the type cannot say.
+    /// Checks what the type cannot express.
     ///
     /// # Errors
-    /// Names the first unusable number.
+    /// Names the first invalid number.
     pub fn validate(&self) -> Result<(), LinkModelError> {
         for (what, found) in [("rtt", self.rtt), ("jitter", self.jitter), ("queue", self.queue)] {
             if found > MAX_DELAY {
@@ -79,7 +79,7 @@ impl LinkModel {
     }
 }
 
-/// What becomes of a packet.
+/// The fate of a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     /// It arrives at this time, µs on the caller's clock.
@@ -90,7 +90,7 @@ pub enum Fate {
     Dropped,
 }
 
-/// One way of a link. The draws depend on the seed and on how many packets came before, on nothing else.
+/// One direction of a link. Its random numbers depend only on the seed and on the number of earlier packets.
 #[derive(Clone, Debug)]
 pub struct Direction {
     model: LinkModel,
@@ -100,15 +100,15 @@ pub struct Direction {
 }
 
 impl Direction {
-    /// `stream` tells the two directions of a link apart: their draws are independent.
+    /// `stream` distinguishes the two directions of a link, which draw independent numbers.
     pub fn new(model: &LinkModel, stream: u64) -> Self {
         let rng = Xoshiro256PlusPlus::seed_from_u64(model.seed ^ stream.wrapping_mul(0x9e37_79b9_7f4a_7c15));
         Self { model: model.clone(), rng, busy_until: 0.0, last_arrival: 0 }
     }
 
-    /// A packet with so many bytes of UDP payload enters now.
+    /// A packet with this many bytes of UDP payload enters now.
     pub fn offer(&mut self, now_micros: u64, bytes: usize) -> Fate {
-        // Both numbers are drawn for every packet, so that one packet's fate does not shift the others' draws.
+        // Every packet draws both numbers, so that one packet's fate does not shift the others' draws.
         let (luck, lateness): (f64, f64) = (self.rng.random(), self.rng.random());
         let now = now_micros as f64;
         let start = self.busy_until.max(now);
@@ -118,7 +118,7 @@ impl Direction {
         let on_wire =
             self.model.bandwidth_mbit.map_or(0.0, |mbit| (bytes + IP_UDP_BYTES) as f64 * 8.0 / mbit);
         self.busy_until = start + on_wire;
-        // A packet that is lost has used the pipe all the same.
+        // A lost packet has used the pipe all the same.
         if luck < self.model.loss {
             return Fate::Lost;
         }
@@ -136,9 +136,9 @@ fn micros(d: Duration) -> f64 {
     d.as_secs_f64() * 1e6
 }
 
-/// Longer delays are typing errors.
+/// Longest delay; more is a typing error.
 const MAX_DELAY: Duration = Duration::from_secs(60);
-/// Headers in front of the payload on an IPv4 link.
+/// Bytes of headers before the payload on an IPv4 link.
 const IP_UDP_BYTES: usize = 28;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! A socket that carries out the fates: packets wait in a heap until they are due, in both directions.
+//! A socket that applies the fates: packets wait in a heap until they are due, in both directions.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -18,7 +18,7 @@ use tokio::time::{Instant, Sleep};
 
 use super::model::{Direction, Fate, LinkModel};
 
-/// What has become of the packets of one direction.
+/// Packet counters of one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DirectionCounters {
     /// Packets that entered the link.
@@ -29,7 +29,7 @@ pub struct DirectionCounters {
     pub dropped: u64,
 }
 
-/// What has become of the packets of a link.
+/// Packet counters of a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounters {
     /// From client to server.
@@ -78,8 +78,8 @@ impl SharedCounters {
     }
 }
 
-/// Goes between a client's endpoint and its socket. Needs a tokio runtime; timers there tick in milliseconds, so
-/// packets come up to 1 ms later than the model says, never earlier.
+/// Sits between a client's endpoint and its socket. It needs a tokio runtime. Timers tick in milliseconds, so packets
+/// come up to 1 ms later than the model says, never earlier.
 #[derive(Debug)]
 pub(crate) struct ConditionedSocket {
     inner: Arc<dyn AsyncUdpSocket>,
@@ -126,7 +126,7 @@ impl ConditionedSocket {
 
 impl Drop for ConditionedSocket {
     fn drop(&mut self) {
-        // The last packets, among them the one that closes the connection, still have to travel.
+        // The last packets still have to travel, among them the one that closes the connection.
         self.up.is_closed.store(true, Ordering::Release);
         self.up.changed.notify_one();
     }
@@ -177,7 +177,7 @@ impl AsyncUdpSocket for ConditionedSocket {
                 }
             }
             if round == MAX_READS {
-                // The others get their turn first.
+                // Other tasks get their turn first.
                 cx.waker().wake_by_ref();
                 break;
             }
@@ -188,7 +188,7 @@ impl AsyncUdpSocket for ConditionedSocket {
             while n < bufs.len().min(meta.len()) {
                 let Some(packet) = waiting.pop_due(now) else { break };
                 let length = packet.contents.len();
-                // A packet longer than the endpoint ever asked for can only be garbage.
+                // A packet longer than any buffer of the endpoint can only be garbage.
                 if let Some(space) = bufs[n].get_mut(..length) {
                     space.copy_from_slice(&packet.contents);
                     meta[n] = RecvMeta { len: length, stride: length, ..packet.peer };
@@ -217,7 +217,7 @@ impl AsyncUdpSocket for ConditionedSocket {
     }
 }
 
-/// Sends what is due, until the socket is gone and nothing waits.
+/// Sends packets when they are due, until the socket is gone and nothing waits.
 async fn send_when_due(socket: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, epoch: Instant) {
     loop {
         let due = lock(&up.waiting).pop_due(micros_since(epoch));
@@ -250,7 +250,7 @@ async fn send_when_due(socket: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, epoch: Inst
     }
 }
 
-/// Packets by the time they are due; in the order they came where it is the same.
+/// Packets by due time, and by arrival where that is equal.
 #[derive(Debug)]
 struct Waiting<P> {
     heap: BinaryHeap<Reverse<Packet<P>>>,
@@ -330,12 +330,12 @@ fn micros_since(epoch: Instant) -> u64 {
     epoch.elapsed().as_micros() as u64
 }
 
-/// A panic elsewhere leaves queues that are still in order.
+/// A panic elsewhere leaves the queues in order.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Packets in one direction: a minute of the longest delay at a megabit a second, and 90 MB at worst.
+/// Most waiting packets in one direction: a minute of the longest delay at a megabit a second, and 90 MB at worst.
 const MAX_WAITING: usize = 1 << 16;
-/// Reads in a row before others get their turn.
+/// Reads in a row before other tasks get their turn.
 const MAX_READS: usize = 64;

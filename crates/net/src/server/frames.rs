@@ -1,8 +1,8 @@
-//! Frames on their way out: when a frame is taken, and which streams are given up.
+//! Sends frames: it decides when to take the next one, and resets streams that the session gives up.
 //!
-//! quinn tells nobody how much of a stream has left. What it has is a window for data that is not acknowledged; kept
-//! at the congestion window, a write waits until the network has room, so the next frame is made from the newest
-//! pose instead of queueing behind older ones.
+//! quinn does not report how much of a stream has left. But it has a window for unacknowledged data. The window
+//! follows the congestion window, so a write waits until the network has room. Then the next frame is made from the
+//! newest pose in place of queueing behind older ones.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,8 +32,8 @@ impl FrameSender {
         Self { link, _close: close }
     }
 
-    /// Hands a frame over, and returns when the network has taken its base. Refinements follow on their own, until
-    /// they are through or a newer frame is handed over. Frame numbers must ascend from 1.
+    /// Hands a frame over, and returns when the network has taken its base. Refinements follow until they are
+    /// complete or a newer frame is handed over. Frame numbers must ascend from 1.
     ///
     /// If the future is dropped, the frame is given up.
     ///
@@ -44,8 +44,8 @@ impl FrameSender {
         self.send_inner(frame, chunks, false).instrument(span).await
     }
 
-    /// The same for a frame that only makes the one before finer: nothing of it goes ahead of what is left of others, unless
-    /// those that follow may be predicted from it.
+    /// The same for a frame that only refines the previous one. It yields to the rest of other frames, unless later
+    /// ones may be predicted from it.
     ///
     /// # Errors
     /// If the connection is over.
@@ -59,7 +59,7 @@ impl FrameSender {
         self.send_inner(frame, chunks, true).instrument(span).await
     }
 
-    /// Sends a picture to keep, as PNG: behind all frames. Returns when the viewer has it.
+    /// Sends a screenshot as PNG, behind all frames. Returns when the viewer has it.
     ///
     /// If the future is dropped, the picture is given up.
     ///
@@ -71,8 +71,8 @@ impl FrameSender {
         let mut stream = ChunkStream { stream, first_of: None };
         let header = screenshot_header(id);
         for part in [&header[..]].into_iter().chain(png.chunks(4 * PIECE)) {
-            // Priorities order what is in quinn's window; what gets in there, frames have the first choice of. But for a
-            // piece now and then, or whoever never rests would wait for ever.
+            // Priorities only order what is in quinn's window, so frames must enter it first. A piece goes out now
+            // and then all the same, or a viewer that never rests would wait for ever.
             let mut writing = self.link.num_writing.subscribe();
             let _ = tokio::time::timeout(SCREENSHOT_PATIENCE, writing.wait_for(|num| *num == 0)).await;
             if !stream.write_part(&self.link, part).await? {
@@ -84,7 +84,7 @@ impl FrameSender {
         Ok(())
     }
 
-    /// The link as QUIC sees it.
+    /// The state of the link according to QUIC.
     pub fn link_state(&self) -> LinkState {
         let path = self.link.connection.stats().path;
         LinkState {
@@ -94,7 +94,7 @@ impl FrameSender {
         }
     }
 
-    /// From now on no more than so many bytes a second are written; none: no limit.
+    /// Limits the rate of writing, bytes per second; `None` for no limit.
     pub fn set_rate(&self, bytes_per_second: Option<f64>) {
         self.link.pace().bytes_per_second = bytes_per_second;
     }
@@ -106,10 +106,10 @@ impl FrameSender {
         is_finer: bool,
     ) -> Result<(), SessionClosed> {
         let link = &self.link;
-        // From here on refinements of older frames are superseded, which frees the window for this base.
+        // Refinements of older frames are now superseded, which frees the window for this base.
         link.talk.lock_quietly().chunks.handle_base_handed(frame);
         link.progress.send_replace(());
-        // Later frames may be predicted from this one, so it must arrive, and before them.
+        // Later frames may be predicted from this one, so it must arrive before them.
         let is_kept = chunks.first().is_some_and(|c| codec::peek(&c.bytes).is_ok_and(|h| h.is_rate()));
         let (base, refinements): (Vec<_>, Vec<_>) = chunks.into_iter().partition(|c| c.is_base);
         let rank = match (is_kept, is_finer) {
@@ -137,7 +137,7 @@ impl FrameSender {
     }
 }
 
-/// Waits until the base is acknowledged, or gives it up when a newer one is, unless it is kept.
+/// Waits until the base is acknowledged. Gives it up when a newer base is, unless it is kept.
 async fn deliver_base(link: &ViewerLink, frame: FrameId, streams: Vec<ChunkStream>, is_kept: bool) {
     tokio::select! {
         biased;
@@ -152,7 +152,7 @@ async fn deliver_base(link: &ViewerLink, frame: FrameId, streams: Vec<ChunkStrea
     }
 }
 
-/// Writes refinements in their order, and gives up what is not through when a newer frame is handed over.
+/// Writes refinements in order, until a newer frame is handed over.
 async fn send_refinements(link: &ViewerLink, frame: FrameId, chunks: Vec<Chunk>) {
     let mut streams = Vec::with_capacity(chunks.len());
     let writing = async {
@@ -166,12 +166,12 @@ async fn send_refinements(link: &ViewerLink, frame: FrameId, chunks: Vec<Chunk>)
     };
     tokio::select! {
         biased;
-        // Dropping the writer gives up the stream it was at.
+        // Dropping the writer resets its current stream.
         () = superseded(link, frame, false) => {}
         written = writing => if written.is_err() { return },
     }
-    // What has been delivered by then is not given up. Nobody asks for each stream whether it was: quinn would remember the
-    // question for every one that is reset, as long as the connection lasts.
+    // Streams delivered by then stay. Their delivery is not awaited one by one: quinn would remember a question
+    // for each reset stream as long as the connection lasts.
     tokio::select! {
         biased;
         () = superseded(link, frame, false) => tracing::trace!("refinements given up, if any are left"),
@@ -180,7 +180,7 @@ async fn send_refinements(link: &ViewerLink, frame: FrameId, chunks: Vec<Chunk>)
     drop(streams);
 }
 
-/// A frame is being written, as long as this lives.
+/// Marks that a frame is being written.
 struct Writing<'a>(&'a ViewerLink);
 
 impl<'a> Writing<'a> {
@@ -196,7 +196,7 @@ impl Drop for Writing<'_> {
     }
 }
 
-/// Returns when the chunks of a frame are not worth sending any more.
+/// Returns when the chunks of a frame are no longer worth sending.
 async fn superseded(link: &ViewerLink, frame: FrameId, is_base: bool) {
     let mut progress = link.progress.subscribe();
     while !link.talk.lock_quietly().chunks.is_superseded(frame, is_base) {
@@ -206,7 +206,7 @@ async fn superseded(link: &ViewerLink, frame: FrameId, is_base: bool) {
     }
 }
 
-/// Whether the client has all of these streams. `false` if it has stopped one, or is gone.
+/// Whether the client has all of these streams; `false` if it has stopped one or left.
 async fn all_delivered(streams: &[ChunkStream]) -> bool {
     for stream in streams {
         if !matches!(stream.stream.stopped().await, Ok(None)) {
@@ -216,12 +216,12 @@ async fn all_delivered(streams: &[ChunkStream]) -> bool {
     true
 }
 
-/// A stream that is reset when it is dropped, which does nothing to one that the client has all of: quinn would deliver what
-/// was written, and end a half of it as if it were whole.
+/// A stream that is reset on drop, unless the client has all of it. Otherwise quinn would deliver a part of it as if
+/// it were whole.
 #[derive(Debug)]
 struct ChunkStream {
     stream: SendStream,
-    /// The frame, as long as nothing of the chunk is written.
+    /// The frame, until the first byte of its base is written.
     first_of: Option<FrameId>,
 }
 
@@ -237,8 +237,7 @@ impl ChunkStream {
         Ok(Self { stream, first_of: Some(frame) })
     }
 
-    /// Writes a whole chunk as the window and the rate let it. A client that stops the stream has no use for it: not an
-    /// error.
+    /// Writes a whole chunk as window and rate allow. A client may stop the stream without an error.
     async fn write(&mut self, link: &ViewerLink, bytes: &[u8]) -> Result<(), SessionClosed> {
         if self.write_part(link, bytes).await? {
             let _ = self.stream.finish();
@@ -246,13 +245,13 @@ impl ChunkStream {
         Ok(())
     }
 
-    /// The same for a part of what the stream carries; whether the client still takes it.
+    /// Writes a part of the stream; returns whether the client still takes it.
     async fn write_part(&mut self, link: &ViewerLink, bytes: &[u8]) -> Result<bool, SessionClosed> {
-        // In pieces, so that the window follows the congestion window while a long chunk is written.
+        // Writing in pieces lets the window follow the congestion window during a long chunk.
         for piece in bytes.chunks(PIECE) {
             let now = Instant::now();
             let at = link.pace().take(now, piece.len());
-            // Even a sleep until now would last to the next tick of tokio's clock, which is a millisecond.
+            // Even a sleep until now would last to the next tick of tokio's clock, a millisecond.
             if at > now {
                 tokio::time::sleep_until(at).await;
             }
@@ -277,16 +276,16 @@ impl Drop for ChunkStream {
     }
 }
 
-/// Holds writes back so that no more than a rate leaves, over any time longer than [`BURST`].
+/// Delays writes so that they keep to a rate over any time longer than [`BURST`].
 #[derive(Debug, Default)]
 pub(super) struct Pace {
     bytes_per_second: Option<f64>,
-    /// When all that was taken has left at this rate.
+    /// When everything taken has left at this rate.
     free_at: Option<Instant>,
 }
 
 impl Pace {
-    /// Takes room for so many bytes, and says when they may be written.
+    /// Takes room for this many bytes, and returns when they may be written.
     fn take(&mut self, now: Instant, bytes: usize) -> Instant {
         let Some(rate) = self.bytes_per_second else { return now };
         let earliest = now.checked_sub(BURST).unwrap_or(now);
@@ -299,16 +298,16 @@ impl Pace {
 
 /// What may leave at once after a pause, as time at the rate: half a frame at 30 a second.
 const BURST: Duration = Duration::from_millis(16);
-/// Bounds the arithmetic where a rate is absurdly small.
+/// Bounds the wait where a rate is absurdly small.
 const MAX_WAIT_SECONDS: f64 = 60.0;
-/// Bytes written at a time. quinn frees the window of them when all of them are acknowledged: with much more, a sender that
-/// fills the window looks idle in between, and the congestion window is not widened.
+/// Bytes per write. quinn frees their window when all of them are acknowledged. With much more, a sender that fills
+/// the window looks idle in between, and the congestion window does not grow.
 const PIECE: usize = 4_000;
-/// A picture to keep waits so long for frames before the next piece of it goes out all the same.
+/// Longest wait of a screenshot for frames before its next piece goes out all the same.
 const SCREENSHOT_PATIENCE: Duration = Duration::from_millis(250);
-/// Bytes that may wait beyond the congestion window, so that a blocked sender is never taken for an idle one: quinn does
-/// not widen the congestion window of those. What waits is older than what could be made instead: with 32 kB frames are
-/// twice as old where packets are lost (docs/BENCHMARKS.md).
+/// Bytes that may wait beyond the congestion window, so that a blocked sender never looks idle: quinn does not widen
+/// the congestion window of an idle one. Waiting bytes are older than what could be made in their place. With 32 kB,
+/// frames are twice as old where packets are lost.
 const SLACK: u64 = 4_000;
 
 #[cfg(test)]

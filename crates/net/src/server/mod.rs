@@ -1,4 +1,4 @@
-//! The server: lets viewers in and hands out one [`Session`] for each connection.
+//! The server: it admits viewers and hands out one [`Session`] for each connection.
 
 mod frames;
 mod pending_hellos;
@@ -34,7 +34,7 @@ use pending_hellos::{MAX_PENDING, PendingHellos};
 pub use frames::FrameSender;
 pub use session::{Control, Session, SessionClosed};
 
-/// A bound endpoint that lets viewers in.
+/// A bound endpoint that admits viewers.
 #[derive(Debug)]
 pub struct Server {
     endpoint: Endpoint,
@@ -46,9 +46,9 @@ pub struct Server {
 /// Limits of a server.
 #[derive(Clone, Debug)]
 pub struct ServerOptions {
-    /// Viewers at the same time.
+    /// Most viewers at the same time.
     pub max_viewers: u32,
-    /// What all stamps are read from.
+    /// Clock of all stamps.
     pub clock: Clock,
 }
 
@@ -58,12 +58,12 @@ impl Default for ServerOptions {
     }
 }
 
-/// What every viewer is told when it is let in.
+/// What every viewer is told in its welcome.
 #[derive(Clone, Debug)]
 pub struct Greeting {
     /// The volume.
     pub volume: VolumeDescription,
-    /// Number of the look.
+    /// Version of the look.
     pub look_version: LookVersion,
     /// The look that a session begins with.
     pub look: Look,
@@ -75,18 +75,18 @@ pub enum BindError {
     /// Another program has the port.
     #[error("UDP port {} of {} is in use; choose another with --listen", .0.port(), .0.ip())]
     InUse(SocketAddr),
-    /// The address cannot be listened on.
+    /// The server cannot listen on the address.
     #[error("cannot listen on {address}: {source}")]
     Io {
         /// The address.
         address: SocketAddr,
-        /// What the system says.
+        /// The system's message.
         source: io::Error,
     },
     /// There is no certificate, or no random numbers.
     #[error(transparent)]
     Identity(#[from] IdentityError),
-    /// Every place that a server can give has been given.
+    /// All places of the server are used.
     #[error("no more links can be made by this server; restart it")]
     NoPlaces,
 }
@@ -96,13 +96,13 @@ struct ServerShared {
     options: ServerOptions,
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
-    /// Connections that have not said who they are.
+    /// Connections without a hello.
     pending: Arc<PendingHellos>,
-    /// Told when a place is given back.
+    /// Notified when a place is given back.
     left: Arc<Notify>,
 }
 
-/// Who may come in, and who is in.
+/// Who may join, and who has joined.
 #[derive(Debug, Default)]
 struct Doors {
     admission: Admission,
@@ -111,7 +111,7 @@ struct Doors {
 }
 
 impl Server {
-    /// Listens on an address. Must be called within a tokio runtime, which then drives the server. Nobody is let in
+    /// Listens on an address. Must be called within a tokio runtime, which then drives the server. Nobody is admitted
     /// before [`Server::mint_token`] or [`Server::mint_link`].
     ///
     /// # Errors
@@ -147,7 +147,7 @@ impl Server {
         Ok(Self { endpoint, shared, sessions, fingerprint: identity.fingerprint() })
     }
 
-    /// The address that is listened on, with its real port.
+    /// The bound address with its real port.
     ///
     /// # Errors
     /// If the socket is gone.
@@ -155,7 +155,7 @@ impl Server {
         self.endpoint.local_addr()
     }
 
-    /// A new token that lets in one viewer.
+    /// A new token that admits one viewer.
     ///
     /// # Errors
     /// If there are no random numbers or no places.
@@ -165,7 +165,7 @@ impl Server {
         Ok(token)
     }
 
-    /// A new link that lets in one viewer, who reaches this server as `host`.
+    /// A new link that admits one viewer, which reaches this server as `host`.
     ///
     /// # Errors
     /// If there are no random numbers or no places.
@@ -177,32 +177,32 @@ impl Server {
         Ok(Link { host: host.to_owned(), port, token, fingerprint: self.fingerprint, state: None })
     }
 
-    /// Links that a viewer has used.
+    /// Number of links that a viewer has used.
     pub fn num_used_links(&self) -> usize {
         self.shared.doors().admission.num_used()
     }
 
-    /// Is told when a viewer has given its place back, also one that left before it was accepted but has used its link.
+    /// Notified when a viewer gives its place back, even one that left before it was accepted.
     pub fn left(&self) -> Arc<Notify> {
         self.shared.left.clone()
     }
 
-    /// What viewers are told from now on when they are let in.
+    /// Sets the greeting of later viewers.
     pub fn set_greeting(&self, greeting: Arc<Greeting>) {
         *self.shared.greeting.lock().unwrap_or_else(PoisonError::into_inner) = greeting;
     }
 
-    /// Viewers that are connected.
+    /// Number of connected viewers.
     pub fn num_viewers(&self) -> usize {
         self.shared.doors().live.len()
     }
 
-    /// The next viewer that was let in. `None` after [`Server::close`].
+    /// The next admitted viewer. `None` after [`Server::close`].
     pub async fn accept(&mut self) -> Option<Session> {
         self.sessions.recv().await
     }
 
-    /// Ends all sessions and waits, for a short time, until the viewers know.
+    /// Ends all sessions and waits briefly until the viewers know.
     pub async fn close(&self) {
         self.endpoint.close(transport::CLOSE_SESSION, b"the server was stopped");
         let _ = tokio::time::timeout(Duration::from_millis(500), self.endpoint.wait_idle()).await;
@@ -217,7 +217,7 @@ impl Drop for Server {
 
 impl ServerShared {
     fn doors(&self) -> MutexGuard<'_, Doors> {
-        // Doors are changed in single steps that cannot fail half-way.
+        // Every change is one step, so a panic leaves the doors in order.
         self.doors.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -225,7 +225,7 @@ impl ServerShared {
 async fn accept_all(endpoint: Endpoint, shared: Arc<ServerShared>, sessions: mpsc::Sender<Session>) {
     while let Some(incoming) = endpoint.accept().await {
         let remote = incoming.remote_address();
-        // A round trip more proves the address; on this machine nobody can lie about it.
+        // One more round trip proves the address; on this machine nobody can forge it.
         if !remote.ip().is_loopback() && !incoming.remote_address_validated() && incoming.may_retry() {
             let _ = incoming.retry();
             continue;
@@ -264,7 +264,7 @@ struct Admitted {
     greeting: Arc<Greeting>,
 }
 
-/// A viewer's place among those connected, given back however its task ends.
+/// A viewer's place among the connected ones, given back however its task ends.
 struct Place {
     shared: Arc<ServerShared>,
     viewer: ViewerId,
@@ -278,7 +278,7 @@ impl Drop for Place {
     }
 }
 
-/// From the first packet to the welcome; `None` if the connection came to nothing, which is logged.
+/// From the first packet to the welcome; `None` if the connection failed, which is logged.
 async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Option<Admitted> {
     let greeted = async {
         let connection = incoming.await.map_err(|e| e.to_string())?;
@@ -364,7 +364,7 @@ fn welcome(
 }
 
 impl ServerShared {
-    /// The session is over; another one of the same viewer stays.
+    /// The session is over; a newer one of the same viewer stays.
     fn leave(&self, viewer: ViewerId, session: u64) {
         let mut doors = self.doors();
         if doors.live.get(&viewer).is_some_and(|(s, _)| *s == session) {
@@ -373,7 +373,7 @@ impl ServerShared {
     }
 }
 
-/// Tells a client why, and closes when it has heard or a short time has passed.
+/// Tells a client why, and closes when it has heard or after a short time.
 async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal) {
     let reason = refusal.to_string();
     tracing::warn!("refused: {reason}");
@@ -383,12 +383,12 @@ async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal
             connection.closed().await;
         }
     };
-    // A client that gives no room to write never hears why.
+    // A client without room to receive never hears why.
     let _ = tokio::time::timeout(REFUSAL_LINGER, told).await;
     connection.close(transport::CLOSE_REFUSED, reason.as_bytes());
 }
 
-/// Closes a connection that no one took over.
+/// Closes a connection unless somebody takes it over.
 struct CloseUnlessKept(Option<Connection>);
 
 impl Drop for CloseUnlessKept {
@@ -399,7 +399,7 @@ impl Drop for CloseUnlessKept {
     }
 }
 
-/// Sessions that wait for [`Server::accept`].
+/// Most sessions that wait for [`Server::accept`].
 const MAX_UNACCEPTED: usize = 16;
-/// How long a refused client may take to read why.
+/// Time for a refused client to read why.
 const REFUSAL_LINGER: Duration = Duration::from_secs(1);

@@ -1,5 +1,5 @@
-//! Connections before their hello. Their number is bounded, in all and for each network. Where there is no room, the one that
-//! has waited longest gives way.
+//! Connections before their hello. Their number is bounded, overall and per network. Without room, the one that has
+//! waited longest gives way.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-/// The connections that have not said hello.
+/// The connections without a hello.
 #[derive(Debug, Default)]
 pub(super) struct PendingHellos {
     room: Mutex<Room>,
@@ -16,10 +16,10 @@ pub(super) struct PendingHellos {
 
 #[derive(Debug, Default)]
 struct Room {
-    /// In the order in which they came.
+    /// The seats in order of arrival.
     seats: Vec<Occupied>,
     next: u64,
-    /// Turned away since this was last logged, and when that was.
+    /// Number turned away since the last log line, and the time of that line.
     num_turned_away: u32,
     logged_at: Option<Instant>,
 }
@@ -29,11 +29,11 @@ struct Occupied {
     number: u64,
     from: IpAddr,
     since: Instant,
-    /// Dropped when another takes the seat.
+    /// Dropped when another connection takes the seat.
     _stays: oneshot::Sender<()>,
 }
 
-/// A seat in the room, given back when dropped.
+/// A seat, given back on drop.
 #[derive(Debug)]
 pub(super) struct Seat {
     pending: Arc<PendingHellos>,
@@ -42,8 +42,9 @@ pub(super) struct Seat {
 }
 
 impl PendingHellos {
-    /// A seat for a connection from an address. Where there is none, whoever of the same place, or of all if the room is
-    /// full, came first gives way, once it has had the time that a hello takes. `None` if all have come just now.
+    /// A seat for a connection from an address. Without a free one, the oldest connection of the same network gives
+    /// way, or the oldest of all if the room is full. It must have had the time that a hello takes. `None` if all are
+    /// too young.
     pub(super) fn enter(self: &Arc<Self>, from: IpAddr, now: Instant) -> Option<Seat> {
         let from = place_of(from);
         let mut room = self.room();
@@ -67,13 +68,13 @@ impl PendingHellos {
     }
 
     fn room(&self) -> MutexGuard<'_, Room> {
-        // Changed in single steps that cannot fail half-way.
+        // Every change is one step, so a panic leaves the room in order.
         self.room.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Room {
-    /// A flood of connections is not to become one of lines.
+    /// The limit keeps a flood of connections from flooding the log.
     fn turn_away(&mut self, now: Instant) {
         self.num_turned_away += 1;
         if self.logged_at.is_none_or(|at| now.duration_since(at) >= LOG_PERIOD) {
@@ -84,9 +85,9 @@ impl Room {
 }
 
 impl Seat {
-    /// Returns when another has taken the seat.
+    /// Returns when another connection has taken the seat.
     pub(super) async fn is_lost(&mut self) {
-        // Nothing is ever sent.
+        // Nothing is ever sent; only the drop counts.
         let _ = (&mut self.stays).await;
     }
 }
@@ -97,7 +98,7 @@ impl Drop for Seat {
     }
 }
 
-/// What one owner of addresses has: a whole network of 64 bits in IPv6.
+/// The network of one owner: an IPv4 address, or 64 bits of IPv6.
 fn place_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(six) if !six.is_loopback() => {
@@ -107,11 +108,11 @@ fn place_of(address: IpAddr) -> IpAddr {
     }
 }
 
-/// Connections in handshake or before their hello.
+/// Most connections in handshake or before their hello.
 pub(super) const MAX_PENDING: usize = 64;
-/// Of these, from one place: an office behind one address may have eight viewers connect in the same second.
+/// Most of these from one network: eight viewers behind one office address may connect in the same second.
 const MAX_OF_PLACE: usize = 8;
-/// How long nobody is sent away: a hello is there a round trip after the handshake, which takes two.
+/// Time in which nobody gives way: a hello follows a round trip after the handshake, which takes two.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Time between two lines of the log.
 const LOG_PERIOD: Duration = Duration::from_secs(10);

@@ -26,17 +26,17 @@ use crate::transport;
 /// `control` (and their clones) are dropped.
 #[derive(Debug)]
 pub struct Session {
-    /// Counts the sessions of the server.
+    /// Number of the session at this server.
     pub id: u64,
-    /// The viewer, the same over its connections.
+    /// The viewer, the same for all its connections.
     pub viewer: ViewerId,
-    /// What the viewer calls itself.
+    /// The viewer's name for itself.
     pub name: String,
-    /// Where it is.
+    /// The viewer's address.
     pub remote: SocketAddr,
-    /// What it was told when it was let in.
+    /// The greeting in its welcome.
     pub greeting: Arc<Greeting>,
-    /// Frames go here.
+    /// Sends frames.
     pub frames: FrameSender,
     /// The conversation.
     pub control: Control,
@@ -46,12 +46,12 @@ pub struct Session {
 }
 
 impl Session {
-    /// The conversation with the viewer: what it has asked for, and what it is told.
+    /// The conversation with the viewer: its requests and what it is told.
     pub fn talk(&self) -> Talking<'_, ServerSession> {
         self.control.talk()
     }
 
-    /// Returns when the viewer has said something; false when the connection is over. Nothing is lost if this is dropped.
+    /// Returns when the viewer has said something; false when the connection is over. Cancellation loses nothing.
     pub async fn hear(&mut self) -> bool {
         self.heard.changed().await.is_ok()
     }
@@ -62,7 +62,7 @@ impl Session {
 #[error("the viewer's connection is over")]
 pub struct SessionClosed;
 
-/// A hold on the conversation with the viewer.
+/// A handle on the conversation with the viewer.
 #[derive(Clone, Debug)]
 pub struct Control {
     link: Arc<ViewerLink>,
@@ -75,22 +75,22 @@ impl Control {
         self.link.talk.lock()
     }
 
-    /// Ends this session; the viewer may come back.
+    /// Ends this session; the viewer may reconnect.
     pub fn close(&self, reason: &str) {
         self.close.0.close(transport::CLOSE_SESSION, one_line(reason).as_bytes());
     }
 }
 
-/// The connection and the state that decides about it; closes when the last user is gone.
+/// The connection and its session; it closes when the last user is gone.
 #[derive(Debug)]
 pub(super) struct ViewerLink {
     pub(super) connection: Connection,
     pub(super) talk: Talk<ServerSession>,
     pace: Mutex<Pace>,
     pub(super) journal: Journal,
-    /// Sent on whenever a chunk may have been superseded.
+    /// Notified whenever a chunk may have been superseded.
     pub(super) progress: watch::Sender<()>,
-    /// Frames that are being written: pictures to keep wait for them.
+    /// Number of frames being written; screenshots wait for them.
     pub(super) num_writing: watch::Sender<usize>,
 }
 
@@ -100,7 +100,7 @@ impl ViewerLink {
     }
 }
 
-/// Owned by what the application holds, not by the tasks here.
+/// Owned by the application's handles, not by the tasks here.
 #[derive(Debug)]
 pub(super) struct CloseOnDrop(Connection);
 
@@ -142,7 +142,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         journal,
         heard,
     };
-    // An unsent session is kept for the moment: dropping it closes the connection.
+    // An unsent session must live on: dropping it would close the connection.
     if let Err(_unsent) = sessions.try_send(session) {
         return refuse(&connection, &mut send, Refusal::Full(max_viewers)).await;
     }
@@ -155,7 +155,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         if let Some(refusal) = violated {
             refuse(&connection, &mut send, refusal).await;
         }
-        // Whatever ended, the rest ends with it; a connection that is closed stays closed for its own reason.
+        // When any of these ends, the rest ends with it. A closed connection keeps its own reason.
         connection.close(transport::CLOSE_PROTOCOL, b"the control stream ended");
         let reason = connection.closed().await;
         tracing::info!("viewer gone: {reason}");
@@ -175,7 +175,7 @@ async fn read_poses(link: &ViewerLink, clock: &Clock, heard: &watch::Sender<()>)
     }
 }
 
-/// Ends with what the client has done wrong, or with nothing when the connection is over.
+/// Ends with what the client did wrong, or with nothing when the connection is over.
 async fn read_messages(
     link: &ViewerLink,
     clock: &Clock,

@@ -1,12 +1,12 @@
-//! The threshold that spends a frame's budget: K segments a list on average, among lists that have any. Twin of
+//! The threshold that spends a frame's budget: K segments per list on average, over lists that have any. Twin of
 //! `shaders/layering/budget.wgsl`.
 //!
-//! *First frame.* Some rays, one of [`sample_stride`]² pixels, are listed at several thresholds at once, and only counted:
-//! first at thresholds over the whole range, then between the two that the budget lies between. From the counts follows the
-//! threshold, on a straight line between logarithms.
+//! *First frame.* One of [`sample_stride`]² pixels is listed at several thresholds at once, and only counted. The
+//! first pass covers the whole range, the second the interval that brackets the budget. The threshold follows by
+//! interpolation between logarithms.
 //!
-//! *Frames that follow.* What a frame spent at its threshold says which threshold the next one needs ([`Budget`]). Where
-//! the camera jumps or the look changes, rays are counted again.
+//! *Later frames.* The number of segments at the last threshold gives the next one ([`Budget`]). After a jump of the
+//! camera or a new look, rays are counted again.
 
 use rayon::prelude::*;
 
@@ -17,13 +17,14 @@ use crate::kernels::march::{Marcher, Scene, Texels};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::mode::Mode;
 
-/// The longest list of a frame with `k` segments a list on average.
+/// The longest list of a frame with `k` segments per list on average.
 pub const fn longest_list(k: usize) -> usize {
     let longest = 3 * k / 2 + 10;
     if longest < MAX_K { longest } else { MAX_K }
 }
 
-/// Every so many pixels along each axis one ray is counted: as many that at least [`SAMPLE_RAYS`] are, but no fewer than 4.
+/// The distance of counted pixels along each axis: at least [`SAMPLE_RAYS`] rays are counted, and the distance is at
+/// least 4.
 pub const fn sample_stride(width: u32, height: u32) -> u32 {
     let num_rays = width as u64 * height as u64;
     let mut stride: u32 = 4;
@@ -33,21 +34,21 @@ pub const fn sample_stride(width: u32, height: u32) -> u32 {
     stride
 }
 
-/// The pixels that are counted along an axis.
+/// The counted pixels along an axis.
 pub(super) fn sampled(side: u32, stride: u32) -> impl Iterator<Item = u32> {
     ((stride / 2).min(side / 2)..side).step_by(stride as usize)
 }
 
-/// Segments of the counted rays at each of [`thresholds`], and how many of the rays have any.
+/// Segments of the counted rays at each of [`thresholds`], and the number of rays with any.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Counts {
-    /// Rays with any matter.
+pub struct SegmentCounts {
+    /// Number of rays with any matter.
     pub num_lists: u32,
-    /// Segments at each threshold.
+    /// Number of segments at each threshold.
     pub num_segments: [u32; NUM_THRESHOLDS],
 }
 
-impl Counts {
+impl SegmentCounts {
     fn sum(mut self, other: Self) -> Self {
         self.num_lists += other.num_lists;
         for (a, b) in self.num_segments.iter_mut().zip(other.num_segments) {
@@ -67,8 +68,9 @@ pub fn thresholds(least: f32, ratio: f32) -> [f32; NUM_THRESHOLDS] {
     })
 }
 
-/// The threshold at which `counts`, made at [`thresholds`], have `k` segments a list; the end of the range where none has.
-pub fn threshold_from_counts(counts: &Counts, least: f32, ratio: f32, k: usize) -> f32 {
+/// The threshold at which `counts`, taken at [`thresholds`], have `k` segments per list; the end of the range if none
+/// has.
+pub fn threshold_from_counts(counts: &SegmentCounts, least: f32, ratio: f32, k: usize) -> f32 {
     let wanted = (counts.num_lists as f32 * k as f32).max(1.0);
     let within = last_above(counts, k);
     let Some(i) = within.filter(|i| i + 1 < NUM_THRESHOLDS) else {
@@ -79,18 +81,18 @@ pub fn threshold_from_counts(counts: &Counts, least: f32, ratio: f32, k: usize) 
     least * ratio.powf(i as f32 + part.clamp(0.0, 1.0))
 }
 
-/// The last threshold with more than `k` segments a list; none if there is none.
-fn last_above(counts: &Counts, k: usize) -> Option<usize> {
+/// The last threshold with more than `k` segments per list, if any.
+fn last_above(counts: &SegmentCounts, k: usize) -> Option<usize> {
     counts.num_segments.iter().rposition(|&num| num as usize > counts.num_lists as usize * k)
 }
 
-/// Where counting goes on between two thresholds of the first count.
-pub fn second_least(counts: &Counts, k: usize) -> f32 {
+/// The least threshold of the second count.
+pub fn second_least(counts: &SegmentCounts, k: usize) -> f32 {
     let i = last_above(counts, k).unwrap_or(0).min(NUM_THRESHOLDS - 2);
     FIRST_LEAST * FIRST_RATIO.powi(i as i32)
 }
 
-/// The threshold of a frame whose rays are counted. `asked.k` is K.
+/// Counts rays to find the threshold of a frame. `asked.k` is K.
 pub(super) fn count<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, asked: &FrameHeader) -> f32 {
     let (camera, k) = (&asked.camera, usize::from(asked.k));
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -100,24 +102,24 @@ pub(super) fn count<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, asked: &
     let count_at = |least, ratio| {
         let thresholds = thresholds(least, ratio);
         let row = |&y: &u32| {
-            let mut counts = Counts::default();
+            let mut counts = SegmentCounts::default();
             for x in sampled(width, stride) {
                 if let Some(of) = Listing::new(scene, marcher, &basis, camera.near, (x, y)) {
                     let num_segments = of.counts(longest_list(k), &thresholds);
                     let num_lists = u32::from(num_segments[0] > 0);
-                    counts = counts.sum(Counts { num_lists, num_segments });
+                    counts = counts.sum(SegmentCounts { num_lists, num_segments });
                 }
             }
             counts
         };
-        rows.par_iter().map(row).reduce(Counts::default, Counts::sum)
+        rows.par_iter().map(row).reduce(SegmentCounts::default, SegmentCounts::sum)
     };
     let least = second_least(&count_at(FIRST_LEAST, FIRST_RATIO), k);
     threshold_from_counts(&count_at(least, SECOND_RATIO), least, SECOND_RATIO, k)
 }
 
 impl<T: Texels> Listing<'_, T> {
-    /// Segments of the ray at each threshold.
+    /// Number of segments of the ray at each threshold.
     fn counts(&self, longest: usize, thresholds: &[f32; NUM_THRESHOLDS]) -> [u32; NUM_THRESHOLDS] {
         if self.scene.settings.mode.is_projection() {
             return projection::counts(self, longest, thresholds);
@@ -128,31 +130,32 @@ impl<T: Texels> Listing<'_, T> {
     }
 }
 
-/// What a renderer remembers from frame to frame.
+/// The state that a renderer keeps from frame to frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Budget {
-    last: Option<Spent>,
+    last: Option<PreviousFrame>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Spent {
+struct PreviousFrame {
     k: u8,
     mode: Mode,
     pose: Pose,
-    /// For the next frame.
+    /// The threshold of the next frame.
     threshold: f32,
 }
 
 impl Budget {
-    /// The next frame is of another scene: its rays are counted.
+    /// The next frame is of another scene, so its rays must be counted.
     pub fn forget(&mut self) {
         self.last = None;
     }
 
-    /// The threshold for a frame; none if its rays are to be counted. `header.k` is K, and `reach` the radius of the volume.
+    /// The threshold for a frame; `None` if its rays must be counted. `header.k` is K, and `reach` the radius of the
+    /// volume.
     pub fn threshold(&self, header: &FrameHeader, reach: f32) -> Option<f32> {
         let pose = &header.camera.pose;
-        let is_near = |last: &Spent| {
+        let is_near = |last: &PreviousFrame| {
             let turned = last.pose.forward().dot(pose.forward());
             let moved = last.pose.eye.distance(pose.eye);
             (last.k, last.mode) == (header.k, header.mode)
@@ -162,7 +165,7 @@ impl Budget {
         self.last.filter(is_near).map(|last| last.threshold)
     }
 
-    /// A frame was made at `threshold`. `header.k` is K.
+    /// Notes a frame made at `threshold`. `header.k` is K.
     pub fn note(&mut self, header: &FrameHeader, threshold: f32, frame: &LayeredFrame) {
         let (k, num) = (f32::from(header.k.max(1)), frame.num_filled());
         if num < NOTED_LISTS || !threshold.is_finite() {
@@ -173,31 +176,34 @@ impl Budget {
         let threshold =
             threshold * (spent / k).powf(FOLLOWING_POWER).clamp(1.0 / FOLLOWING_MOST, FOLLOWING_MOST);
         let threshold = threshold.clamp(FIRST_LEAST, THRESHOLD_GREATEST);
-        self.last = Some(Spent { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
+        self.last =
+            Some(PreviousFrame { k: header.k, mode: header.mode, pose: header.camera.pose, threshold });
     }
 }
 
-/// Thresholds that are counted at once.
+/// Thresholds counted at once.
 pub const NUM_THRESHOLDS: usize = 8;
-/// Thresholds of the first count: the greatest is far above the error of any segment that a ray could be.
+/// Least threshold of the first count. Its greatest is far above the error of any segment.
 pub const FIRST_LEAST: f32 = 1.0 / 4096.0;
-/// Ratio of those that follow each other.
+/// Ratio of successive thresholds in the first count.
 pub const FIRST_RATIO: f32 = 16.0;
-/// Of the second count: the seven steps between eight make up for one of the first.
+/// Ratio in the second count: its seven steps equal one step of the first.
 pub const SECOND_RATIO: f32 = 1.485_994_3;
-/// The greatest threshold of all.
+/// The greatest threshold of the first count.
 pub const THRESHOLD_GREATEST: f32 = FIRST_LEAST * 268_435_456.0;
-/// Rays that say enough of a frame.
+/// Number of rays that represent a frame.
 pub const SAMPLE_RAYS: u64 = 2048;
-/// Counts that are equal are told apart by no less than this.
+/// Least difference of logarithms that is divided by.
 const LOGARITHM_LEAST: f32 = 1e-6;
-/// The number of segments falls as a power of the threshold between −.25 and −.5. Even at the steepest, none overshoots.
+/// Exponent of the correction. The number of segments falls as a power of the threshold between −.25 and −.5, so even
+/// the steepest does not overshoot.
 const FOLLOWING_POWER: f32 = 2.0;
-/// The threshold changes by no more than this from one frame to the next.
+/// Greatest change of the threshold from one frame to the next, as a factor.
 const FOLLOWING_MOST: f32 = 4.0;
-/// A frame of fewer lists says nothing of the next.
+/// Fewer lists than this say nothing about the next frame.
 const NOTED_LISTS: usize = 64;
-/// Cosine of the greatest turn, and share of the volume's radius that the eye may move, between frames that follow: 15°.
+/// Cosine of the greatest turn between successive frames, 15°. The eye may move by the same share of the volume's
+/// radius.
 const NEAR_COSINE: f32 = 0.966;
 const NEAR_SHARE: f32 = 0.5;
 
@@ -214,7 +220,7 @@ mod tests {
         // N = lists · 20 · T^−½: 4 at T = 25.
         let counts_at = |least: f32, ratio: f32| {
             let num = |t: f32| (100_000.0 * 20.0 / t.sqrt()) as u32;
-            Counts { num_lists: 100_000, num_segments: thresholds(least, ratio).map(num) }
+            SegmentCounts { num_lists: 100_000, num_segments: thresholds(least, ratio).map(num) }
         };
         let least = second_least(&counts_at(FIRST_LEAST, FIRST_RATIO), 4);
         assert!(least <= 25.0 && 25.0 <= least * FIRST_RATIO * 1.001, "{least}");
@@ -227,10 +233,10 @@ mod tests {
 
     #[test]
     fn counts_out_of_range_give_the_ends_of_it() {
-        let of = |num| Counts { num_lists: 10, num_segments: [num; NUM_THRESHOLDS] };
+        let of = |num| SegmentCounts { num_lists: 10, num_segments: [num; NUM_THRESHOLDS] };
         assert_eq!(threshold_from_counts(&of(5), 0.5, 2.0, 4), 0.5);
         assert_eq!(threshold_from_counts(&of(50), 0.5, 2.0, 4), 64.0);
-        assert_eq!(threshold_from_counts(&Counts::default(), 0.5, 2.0, 4), 0.5);
+        assert_eq!(threshold_from_counts(&SegmentCounts::default(), 0.5, 2.0, 4), 0.5);
         assert!((SECOND_RATIO.powi(NUM_THRESHOLDS as i32 - 1) / FIRST_RATIO - 1.0).abs() < 1e-5);
         assert_eq!(THRESHOLD_GREATEST, FIRST_LEAST * FIRST_RATIO.powi(NUM_THRESHOLDS as i32 - 1));
     }

@@ -1,16 +1,16 @@
-//! From the segments of a ray, by world distance, to those of a frame, by depth units. Twin of the end of
+//! Turns the segments of a ray in world distance into those of a frame in depth units. Twin of the end of
 //! `shaders/layering/generate.wgsl`.
 //!
-//! A segment is [`MIN_UNITS`] thick at least, so thin ones push those behind them away. As casts end where the volume does, a
-//! list must not become longer by that: it is pushed back from its end. A list that has no room for all of its segments,
-//! less than two tenths of a voxel of a scan, becomes one segment; no view tells its parts apart.
+//! A segment is at least [`MIN_UNITS`] thick, so thin segments push those behind them away. Casts end where the
+//! volume does, so a list that becomes too long is pushed back from its end. A list without room for all of its
+//! segments spans less than two tenths of a scan's voxel. It becomes one segment; no view tells its parts apart.
 
 use super::{OpenSegment, SegmentList, append};
 use crate::camera::Camera;
 use crate::layer::{DEPTH_UNITS, MAX_K, Segment, TAU_MAX, depth_to_units};
 use crate::mode::Compositing;
 
-/// Hands on the segments of a list, front to back, if there are any.
+/// Emits the segments of a list front to back.
 pub(super) fn list(
     camera: &Camera,
     compositing: Compositing,
@@ -45,20 +45,20 @@ pub(super) fn list(
     push(closed);
 }
 
-/// Rounds the ends of a segment to depth units, behind `last_back`. A segment thinner than [`MIN_UNITS`] is made so thick.
+/// Rounds the ends of a segment to depth units behind `last_back`, at least [`MIN_UNITS`] apart.
 pub fn segment_behind(camera: &Camera, segment: &OpenSegment, s_per_depth: f32, last_back: u16) -> Segment {
     let front = units(camera, segment.s0 / s_per_depth).max(last_back);
     let back = units(camera, segment.s1 / s_per_depth).max(front.saturating_add(MIN_UNITS));
     Segment { front, back, c: segment.c, tau: segment.tau.min(TAU_MAX) }
 }
 
-/// The depth unit nearest to a view depth, with room for a segment behind it.
+/// The nearest depth unit to a view depth, with room for a segment behind it.
 fn units(camera: &Camera, depth: f32) -> u16 {
     let greatest = DEPTH_UNITS - f32::from(MIN_UNITS);
     (depth_to_units(camera, depth) + 0.5).clamp(0.0, greatest) as u16
 }
 
-/// Makes of a segment one that a ray through both sees as them, with what is behind it.
+/// Merges a segment with the one behind it, so that a ray through both sees the same.
 fn unite(compositing: Compositing, segment: &mut OpenSegment, behind: &OpenSegment) {
     match compositing {
         Compositing::Over => append(segment, behind),
@@ -71,7 +71,7 @@ fn unite(compositing: Compositing, segment: &mut OpenSegment, behind: &OpenSegme
     segment.s1 = behind.s1;
 }
 
-/// Least thickness of a segment in depth units. Single precision finds where a ray crosses a depth to about 1/200 of
-/// a unit, so the part of such a segment that a ray crosses is known to 1/1000; the units are 1/16384 of the volume's
-/// diameter, far below any parallax.
+/// Least thickness of a segment, depth units. Single precision finds a crossing to about 1/200 of a unit, so the
+/// crossed part of such a segment is known to 1/1000. A unit is 1/16384 of the volume's diameter, far below any
+/// parallax.
 pub const MIN_UNITS: u16 = 4;

@@ -1,7 +1,7 @@
 //! Layered frames from a march: the steps of each ray become the segments of its list.
 //!
-//! `visibility_merge` makes the lists of modes that composite with *over*, [`projection`] those of projections. Both are
-//! `stream`s under one [`budget`]. A laboratory may bring a [`Rule`] of its own, which sees the same steps.
+//! `visibility_merge` makes the lists of modes that composite with *over*, [`projection`] those of projections. Both
+//! are `stream`s under one [`budget`]. A laboratory may supply a [`Rule`] of its own, which sees the same steps.
 
 pub mod budget;
 pub mod close;
@@ -23,29 +23,29 @@ use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::space::Ray;
 
-/// How the steps of a ray become a list, where it is not by this module's own way.
+/// Another rule that turns the steps of a ray into a list.
 pub trait Rule: Sync {
-    /// Makes of `list`, which is empty, that of a ray: at most `k` segments.
+    /// Fills the empty `list` for a ray with at most `k` segments.
     fn list<T: Texels>(&self, ray: &Listing<'_, T>, k: usize, list: &mut SegmentList);
 }
 
-/// Makes a frame of a scene in place of [`generate_while`].
+/// Makes a frame of a scene, in place of [`generate_while`].
 pub type FrameMaker = Arc<dyn Fn(&Scene, FrameHeader, Wanted<'_>) -> Option<LayeredFrame> + Send + Sync>;
 
-/// A segment while it is made: a step that may span many.
+/// An unfinished segment: a step that may span many.
 pub type OpenSegment = Step;
 
 /// Up to [`MAX_K`] finished segments of one ray.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SegmentList {
-    /// How many of `segments` count.
+    /// Number of valid `segments`.
     pub len: usize,
-    /// Front to back.
+    /// The segments, front to back.
     pub segments: [OpenSegment; MAX_K],
 }
 
 impl SegmentList {
-    /// Adds a segment behind the others.
+    /// Adds a segment at the back.
     pub fn push(&mut self, segment: OpenSegment) {
         self.segments[self.len] = segment;
         self.len += 1;
@@ -60,15 +60,15 @@ pub fn append(open: &mut OpenSegment, piece: &Step) {
     open.s1 = piece.s1;
 }
 
-/// Generates a layered frame with `header.k` segments a list on average. The header of the frame has the longest list that
-/// can occur.
+/// Generates a layered frame with `header.k` segments per list on average. The header of the result has the longest
+/// possible list.
 pub fn generate(scene: &Scene, header: FrameHeader) -> LayeredFrame {
     let frame = generate_while(scene, header, &mut Budget::default(), ALWAYS);
     frame.unwrap_or_else(|| LayeredFrame::empty(header))
 }
 
-/// The same for one frame after another of one scene, whose budget follows from what the last one spent; `None` when the
-/// frame is no longer wanted, which is asked for each row.
+/// The same for successive frames of one scene, whose budget follows from the last frame. Returns `None` when the
+/// frame is no longer `wanted`, which is checked for each row.
 pub fn generate_while(
     scene: &Scene,
     header: FrameHeader,
@@ -80,8 +80,8 @@ pub fn generate_while(
     })
 }
 
-/// Generates a layered frame by a rule of a laboratory, with at most `header.k` segments a list. The mode of the scene must
-/// composite with *over*.
+/// Generates a layered frame with a laboratory's rule, at most `header.k` segments per list. The mode must composite
+/// with *over*.
 pub fn generate_by(
     scene: &Scene,
     header: FrameHeader,
@@ -118,7 +118,7 @@ fn clamp_k(k: u8) -> u8 {
     k.clamp(1, MAX_K as u8)
 }
 
-/// The frame of the lists that `fill` makes, one for each ray that meets the volume.
+/// Collects the lists that `fill` makes, one for each ray that meets the volume.
 fn gather_lists<T: Texels>(
     scene: &Scene,
     marcher: &Marcher<'_, T>,
@@ -143,8 +143,8 @@ fn gather_lists<T: Texels>(
     })
 }
 
-/// The frame of the rows that `fill` makes, in parallel: it pushes the segments and the end of each list of row `y`.
-/// `None` as soon as it is no longer wanted.
+/// Collects the rows that `fill` makes in parallel: it pushes the segments and the end of each list of row `y`.
+/// Returns `None` as soon as the frame is no longer wanted.
 pub fn gather_rows(
     header: FrameHeader,
     wanted: Wanted<'_>,
@@ -175,7 +175,7 @@ pub fn gather_rows(
         c_b_tau: vec![0; total],
         ..LayeredFrame::empty(header)
     };
-    // Memory that nobody has written to comes page by page, which takes longer than copying: so that is done in parallel, too.
+    // Fresh memory arrives page by page, which takes longer than copying, so this runs in parallel too.
     let (mut depth, mut c_rg, mut c_b_tau) =
         (&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]);
     let mut first = 0;
@@ -201,25 +201,25 @@ pub fn gather_rows(
     Some(frame)
 }
 
-/// A ray that meets the volume, and what is known of its frame.
+/// A ray that meets the volume, with what is known of its frame.
 pub struct Listing<'a, T> {
-    /// What is marched.
+    /// The scene that is marched.
     pub scene: &'a Scene,
     marcher: &'a Marcher<'a, T>,
-    /// Of the frame's camera.
+    /// Basis of the frame's camera.
     pub basis: &'a Basis,
     /// View depth of the near plane.
     pub near: f32,
     /// The ray.
     pub ray: Ray,
-    /// Its steps.
+    /// The steps of the ray.
     pub lattice: Lattice,
     /// World distance per unit of view depth.
     pub s_per_depth: f32,
 }
 
 impl<'a, T: Texels> Listing<'a, T> {
-    /// The ray of a pixel; none if it meets nothing.
+    /// The ray of a pixel; `None` if it misses the volume.
     pub fn new(
         scene: &'a Scene,
         marcher: &'a Marcher<'a, T>,
@@ -237,7 +237,7 @@ impl<'a, T: Texels> Listing<'a, T> {
         self.marcher.march(&self.ray, self.lattice, sink);
     }
 
-    /// Makes of `list`, which is empty, that of the ray: at most `longest` segments that err by no more than `threshold`.
+    /// Fills the empty `list` with at most `longest` segments, whose errors are at most `threshold`.
     pub fn list(&self, longest: usize, threshold: f32, list: &mut SegmentList) {
         if self.scene.settings.mode.is_projection() {
             return projection::list(self, longest, threshold, list);

@@ -1,74 +1,75 @@
 //! Lists of the projections: the greatest, the least and the mean value along a ray. Twin of
 //! `shaders/layering/projection.wgsl`.
 //!
-//! Nothing hides anything here, so matter anywhere on a ray counts alike, and only what a segment gets wrong of its own
-//! piece of the way does. From steps to segments goes `super::stream`, with the budget of [`super::budget`]; the error of a
-//! piece follows from a few sums over it.
+//! Nothing hides anything in a projection, so matter counts alike everywhere on a ray. Only a segment's error within
+//! its own interval matters. `super::stream` makes segments of steps, with the budget of [`super::budget`]; a few
+//! sums over a piece give its error.
 //!
-//! *Greatest key.* A segment shows one key v wherever a turned ray crosses it. With y(s) the keys on its way, its error
-//! is the integral of (v − y)² over its length, weighted by the square of its peak: what is low is seldom the greatest on
-//! any ray. v is the mean of y and of the peak, by `PEAK_SHARE`: a turned ray crosses many segments and shows the greatest
-//! of their keys, so means are too low, by a tenth of the error, and peaks too high after large turns. The segment that
-//! holds the greatest key of its ray has that key, and all others a lower one, so the view from the same pose is exact.
+//! *Greatest key.* A segment shows one key v wherever a turned ray crosses it. With the keys y(s) along its interval,
+//! its error is the integral of (v − y)² over its length. The square of its peak weights it, because low keys are
+//! seldom the greatest on any ray. v lies between the mean of y and the peak, by `PEAK_SHARE`. A turned ray crosses
+//! many segments and shows the greatest key, so means are too low by a tenth of the error. Peaks are too high after
+//! large turns. The segment with the greatest key of its ray keeps that key, and all others get lower ones. So the
+//! view from the same pose is exact.
 //!
-//! *Mean.* A segment spreads what it shows evenly over its length. Seen from aside, what lay elsewhere is displaced: the
-//! error is what the segment shows times the distance between the two distributions, taken as that of their means and
-//! that of their deviations.
+//! *Mean.* A segment spreads what it shows evenly over its length, which displaces it in a view from the side. The
+//! error is what the segment shows times the distance between the two distributions: that of their means and of their
+//! deviations.
 
 use super::budget::NUM_THRESHOLDS;
-use super::stream::{Piece, Stream};
+use super::stream::{Piece, PieceStream};
 use super::{Listing, OpenSegment, SegmentList};
 use crate::kernels::march::modes::{Values, shown_of_key};
-use crate::kernels::march::{Lattice, Pace, Scene, Sink, Step, Texels};
+use crate::kernels::march::{Advance, Lattice, Scene, Sink, Step, Texels};
 use crate::kernels::raycast::greater;
 use crate::layer::{KEY_LEAST, half_below, slot_from_key};
 use crate::mode::{Compositing, Mode};
 
-/// Makes of `list` that of a ray: at most `longest` segments that err by no more than `threshold`.
+/// Fills `list` for a ray with at most `longest` segments, whose errors are at most `threshold`.
 pub(super) fn list<T: Texels>(of: &Listing<'_, T>, longest: usize, threshold: f32, list: &mut SegmentList) {
-    let mut sink = Projected::new(of, [threshold], longest, list);
+    let mut sink = ProjectionLister::new(of, [threshold], longest, list);
     of.marcher.project(&of.ray, of.lattice, &mut sink);
     sink.finish();
 }
 
-/// Segments of a ray at several thresholds.
+/// Number of segments of a ray at several thresholds.
 pub(super) fn counts<T: Texels>(
     of: &Listing<'_, T>,
     longest: usize,
     thresholds: &[f32; NUM_THRESHOLDS],
 ) -> [u32; NUM_THRESHOLDS] {
     let mut unused = SegmentList::default();
-    let mut sink = Projected::new(of, *thresholds, longest, &mut unused);
+    let mut sink = ProjectionLister::new(of, *thresholds, longest, &mut unused);
     of.marcher.project(&of.ray, of.lattice, &mut sink);
     sink.count()
 }
 
-/// A part of a ray, by sums over its steps.
+/// A piece of a ray, by sums over its steps.
 #[derive(Clone, Copy, Debug, Default)]
-struct Part {
+struct ProjectionPiece {
     s0: f32,
     s1: f32,
     /// Greatest key.
     peak: f32,
-    /// Integrals of the key and its square; of a mean, of the brightness and of that times the distance.
+    /// Integrals of the key and its square. For a mean: of the brightness, and of the brightness times the distance.
     first: f32,
     second: f32,
     /// Integral of the brightness times the square of the distance.
     third: f32,
-    /// Integral of what is shown.
+    /// Integral of the shown colour.
     shown: glam::Vec3,
 }
 
-/// What is the same for all parts of a ray.
-struct Projection {
+/// What is constant for all pieces of a ray.
+struct RayConstants {
     compositing: Compositing,
     lattice: Lattice,
     /// See [`key_limit`](crate::kernels::march::modes::key_limit).
     key_limit: f32,
 }
 
-impl Part {
-    fn of(step: &Step, ray: &Projection) -> Self {
+impl ProjectionPiece {
+    fn of(step: &Step, ray: &RayConstants) -> Self {
         let length = step.s1 - step.s0;
         let ends = Self { s0: step.s0, s1: step.s1, ..Self::default() };
         if ray.compositing == Compositing::Mean {
@@ -82,18 +83,18 @@ impl Part {
         Self { peak, first: mean * length, second: square * length, ..ends }
     }
 
-    /// The key that it shows if it does not hold the greatest of its ray.
+    /// The key of a segment that does not hold the greatest of its ray.
     fn key(&self) -> f32 {
         let mean = self.first / (self.s1 - self.s0);
         mean + (self.peak - mean) * PEAK_SHARE
     }
 }
 
-impl Piece for Part {
-    type Ray = Projection;
+impl Piece for ProjectionPiece {
+    type Ray = RayConstants;
 
     #[inline(always)]
-    fn joined(&self, behind: &Self, _: &Projection) -> Self {
+    fn joined(&self, behind: &Self, _: &RayConstants) -> Self {
         Self {
             s0: self.s0,
             s1: behind.s1,
@@ -106,7 +107,7 @@ impl Piece for Part {
     }
 
     #[inline(always)]
-    fn error(&self, ray: &Projection) -> f32 {
+    fn error(&self, ray: &RayConstants) -> f32 {
         let (length, h) = (self.s1 - self.s0, ray.lattice.unit);
         let error = if ray.compositing == Compositing::Mean {
             let per_brightness = 1.0 / self.first.max(BRIGHTNESS_LEAST);
@@ -120,7 +121,7 @@ impl Piece for Part {
             let square = v * v * length - 2.0 * v * self.first + self.second;
             self.peak * self.peak * square.max(0.0) / h
         };
-        // Of volumes so large that errors are infinite, nothing is known but that pieces must be joined.
+        // In huge volumes errors are infinite. Then pieces are simply joined.
         if error.is_nan() { 0.0 } else { error }
     }
 
@@ -131,16 +132,16 @@ impl Piece for Part {
 }
 
 /// Makes a list, or counts at several thresholds.
-struct Projected<'a, const N: usize> {
+struct ProjectionLister<'a, const N: usize> {
     scene: &'a Scene,
-    ray: Projection,
-    streams: [Stream<Part>; N],
-    /// What of each stream becomes segments.
+    ray: RayConstants,
+    streams: [PieceStream<ProjectionPiece>; N],
+    /// The state of each stream.
     kept: [Kept; N],
     written: Written<'a>,
 }
 
-/// Parts that became segments, and the greatest of their peaks.
+/// The number of segments so far, and their greatest peak.
 #[derive(Clone, Copy, Debug)]
 struct Kept {
     num: u32,
@@ -150,29 +151,29 @@ struct Kept {
 impl Kept {
     const NONE: Self = Self { num: 0, greatest: -1.0 };
 
-    /// Whether a part shows or hides anything, or holds the greatest key so far.
-    fn keeps(&self, part: &Part, ray: &Projection) -> bool {
+    /// Whether a piece shows or hides anything, or holds the greatest key so far.
+    fn keeps(&self, part: &ProjectionPiece, ray: &RayConstants) -> bool {
         match ray.compositing {
             Compositing::Mean => part.first > 0.0,
             _ => part.peak > self.greatest || part.key() > ray.key_limit,
         }
     }
 
-    fn add(&mut self, part: &Part, ray: &Projection) {
+    fn add(&mut self, part: &ProjectionPiece, ray: &RayConstants) {
         self.num += u32::from(self.keeps(part, ray));
         self.greatest = greater(self.greatest, part.peak);
     }
 }
 
-/// Segments that are out.
+/// The segments that are written.
 struct Written<'a> {
     list: &'a mut SegmentList,
     kept: Kept,
-    /// Which of the segments has the greatest peak: the first of equals.
+    /// Index of the first segment with the greatest peak.
     of: usize,
 }
 
-impl<'a, const N: usize> Projected<'a, N> {
+impl<'a, const N: usize> ProjectionLister<'a, N> {
     fn new<T: Texels>(
         of: &Listing<'a, T>,
         thresholds: [f32; N],
@@ -180,8 +181,8 @@ impl<'a, const N: usize> Projected<'a, N> {
         list: &'a mut SegmentList,
     ) -> Self {
         let compositing = of.scene.settings.mode.compositing();
-        let ray = Projection { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit };
-        let streams = thresholds.map(|threshold| Stream::new(threshold, longest, &of.lattice));
+        let ray = RayConstants { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit };
+        let streams = thresholds.map(|threshold| PieceStream::new(threshold, longest, &of.lattice));
         let written = Written { list, kept: Kept::NONE, of: 0 };
         Self { scene: of.scene, ray, streams, kept: [Kept::NONE; N], written }
     }
@@ -203,7 +204,7 @@ impl<'a, const N: usize> Projected<'a, N> {
 }
 
 impl Written<'_> {
-    fn push(&mut self, scene: &Scene, ray: &Projection, part: &Part) {
+    fn push(&mut self, scene: &Scene, ray: &RayConstants, part: &ProjectionPiece) {
         let ends = OpenSegment { s0: part.s0, s1: part.s1, ..OpenSegment::default() };
         let is_kept = self.kept.keeps(part, ray);
         if part.peak > self.kept.greatest {
@@ -223,12 +224,12 @@ impl Written<'_> {
         self.list.push(OpenSegment { c, tau: slot_from_key(key), ..ends });
     }
 
-    /// Gives the greatest key of the ray to the segment that holds it, and to all others lower ones.
-    fn finish(&mut self, scene: &Scene, ray: &Projection) {
+    /// Gives the ray's greatest key to the segment that holds it, and lower ones to all others.
+    fn finish(&mut self, scene: &Scene, ray: &RayConstants) {
         if ray.compositing == Compositing::Mean || self.list.len == 0 {
             return;
         }
-        // Apart from those below it by a code of the codec at least.
+        // The greatest key stays at least one codec step above those below it.
         let greatest = self.kept.greatest.max(2.0 * KEY_LEAST);
         let slot = slot_from_key(greatest);
         let below = half_below(slot);
@@ -241,24 +242,24 @@ impl Written<'_> {
     }
 }
 
-impl<const N: usize> Sink for Projected<'_, N> {
+impl<const N: usize> Sink for ProjectionLister<'_, N> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         let Self { scene, ray, streams, kept, written } = self;
-        let part = Part::of(&step, ray);
+        let part = ProjectionPiece::of(&step, ray);
         for (stream, kept) in streams.iter_mut().zip(kept) {
             stream.step(ray, part, step.s0, |part| match N {
                 1 => written.push(scene, ray, part),
                 _ => kept.add(part, ray),
             });
         }
-        Pace::Step
+        Advance::Step
     }
 }
 
-/// Of the way from the mean key of a piece to its greatest: see [`Piece::key`].
+/// Position between the mean key of a piece (0) and its greatest (1): see [`ProjectionPiece::key`].
 const PEAK_SHARE: f32 = 0.75;
-/// Deviation of an even distribution, in lengths: 1/√12.
+/// Standard deviation of a uniform distribution, in lengths: 1/√12.
 const EVEN_DEVIATION: f32 = 0.288_675_13;
-/// A piece without any is divided by this.
+/// Least brightness that is divided by.
 const BRIGHTNESS_LEAST: f32 = 1e-30;

@@ -1,32 +1,32 @@
-//! Lists made while their rays are marched, with few pieces open at once. Twin of `shaders/layering/stream.wgsl`.
+//! Lists made while rays are marched, with few open pieces. Twin of `shaders/layering/stream.wgsl`.
 //!
-//! What pieces are and how far a piece is from what it stands for is the rule's ([`Piece`]): [`super::visibility_merge`] or
-//! [`super::projection`]. The way from steps to segments is the same for both:
+//! The rule defines pieces and their errors ([`Piece`]): [`super::visibility_merge`] or [`super::projection`]. The
+//! way from steps to segments is the same for both:
+//! 1. *Coming piece.* Steps join it while its error, roughly measured, is at most [`COMING_SHARE`] of the limit.
+//! 2. *Window.* Then it goes behind the [`WINDOW`] open pieces. The two neighbours with the least joint error are
+//!    joined, if that is at most the limit. Otherwise the first piece becomes a segment.
+//! 3. *End.* Neighbours are joined, cheapest first, while their error is at most the threshold. The rest become
+//!    segments.
 //!
-//! 1. *A piece comes in.* Steps are joined to it while its error, roughly measured, is at most [`COMING_SHARE`] of the limit.
-//! 2. *The window.* Then it goes behind the [`WINDOW`] pieces that are open. Of these and the new one, the two neighbours
-//!    that have the least error as one are joined, if that is at most the limit. If not, the first is a segment for good.
-//! 3. *The end.* Neighbours are joined, cheapest first, while their error is at most the threshold. The rest are segments.
-//!
-//! The limit is the frame's threshold ([`super::budget`]). It rises where a list fills faster than its ray passes: a list
-//! has an end, and what lies behind deserves its share. So no segment has a greater error than the threshold but in such
-//! lists, a ray needs no memory beside its open pieces, and nothing is looked at twice.
+//! The limit is the frame's threshold ([`super::budget`]). It rises where a list fills faster than its ray advances:
+//! lists are bounded, and matter at the back deserves its share. Only segments in such lists have errors above the
+//! threshold. A ray needs no memory but its open pieces, and each step is looked at once.
 
 use crate::kernels::march::Lattice;
 use crate::kernels::raycast::greater;
 
 /// A part of a ray that becomes a segment, or a part of one.
 pub(super) trait Piece: Copy + Default {
-    /// What is the same for all pieces of a ray.
+    /// What is constant for all pieces of a ray.
     type Ray;
 
-    /// This piece and the one behind it as one.
+    /// Joins this piece and the one behind it.
     fn joined(&self, behind: &Self, ray: &Self::Ray) -> Self;
 
-    /// How far the piece is from what it stands for, as one segment; never negative.
+    /// The error of the piece as one segment; never negative.
     fn error(&self, ray: &Self::Ray) -> f32;
 
-    /// A cheap test, asked at each step, for an error of at most `limit`.
+    /// Cheaply tests at each step whether the error is at most `limit`.
     fn is_within(&self, limit: f32, ray: &Self::Ray) -> bool {
         self.error(ray) <= limit
     }
@@ -35,26 +35,26 @@ pub(super) trait Piece: Copy + Default {
     fn s1(&self) -> f32;
 }
 
-/// One ray on its way to a list.
+/// Turns the steps of one ray into a list.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stream<P> {
+pub(super) struct PieceStream<P> {
     threshold: f32,
     longest: usize,
-    /// World distance where the ray begins, and the inverse of its length.
+    /// World distance of the ray's start, and the inverse of its length.
     s0: f32,
     per_length: f32,
     num_out: usize,
     coming: Option<P>,
-    /// How far the piece that comes in may err.
+    /// The error limit of the coming piece.
     coming_limit: f32,
     num_open: usize,
     open: [P; WINDOW + 1],
-    /// Error of each open piece as one with the piece behind it.
+    /// Joint error of each open piece and the one behind it.
     joint: [f32; WINDOW],
 }
 
-impl<P: Piece> Stream<P> {
-    /// A ray along `lattice`, of which at most `longest` segments come out: more than [`WINDOW`].
+impl<P: Piece> PieceStream<P> {
+    /// Starts a ray along `lattice` that gives at most `longest` segments, which must exceed [`WINDOW`].
     pub(super) fn new(threshold: f32, longest: usize, lattice: &Lattice) -> Self {
         Self {
             threshold,
@@ -70,17 +70,17 @@ impl<P: Piece> Stream<P> {
         }
     }
 
-    /// Segments that came out.
+    /// Number of segments so far.
     pub(super) fn num_out(&self) -> usize {
         self.num_out
     }
 
-    /// Takes the next step, which begins at the world distance `s0`. Segments come out front to back.
+    /// Takes the next step, which begins at the world distance `s0`. Emits segments front to back.
     #[inline(always)]
     pub(super) fn step(&mut self, ray: &P::Ray, step: P, s0: f32, emit: impl FnMut(&P)) {
         if let Some(coming) = &mut self.coming {
             let joined = coming.joined(&step, ray);
-            // Across a gap matter is spread as well as moved.
+            // Joining across a gap spreads matter as well as moving it.
             let limit = self.coming_limit;
             if joined.is_within(limit, ray) && (s0 <= coming.s1() || joined.error(ray) <= limit) {
                 *coming = joined;
@@ -93,7 +93,7 @@ impl<P: Piece> Stream<P> {
         self.coming_limit = COMING_SHARE * self.limit(s0);
     }
 
-    /// The ray is over.
+    /// Ends the ray.
     pub(super) fn finish(&mut self, ray: &P::Ray, mut emit: impl FnMut(&P)) {
         if let Some(come) = self.coming.take() {
             self.push(ray, come, &mut emit);
@@ -133,7 +133,7 @@ impl<P: Piece> Stream<P> {
         }
     }
 
-    /// The greatest error that a segment may have behind which the ray is at the world distance `s`.
+    /// The greatest error of a segment when the ray has reached the world distance `s`.
     #[inline(always)]
     fn limit(&self, s: f32) -> f32 {
         let passed = (s - self.s0) * self.per_length;
@@ -141,13 +141,13 @@ impl<P: Piece> Stream<P> {
         self.threshold * ((haste * haste) * (haste * haste))
     }
 
-    /// Makes one of the open piece `first` and the one behind it.
+    /// Joins the open piece `first` with the one behind it.
     fn join(&mut self, ray: &P::Ray, first: usize) {
         self.open[first] = self.open[first].joined(&self.open[first + 1], ray);
         self.open.copy_within(first + 2..self.num_open, first + 1);
         self.joint.copy_within(first + 1..self.num_open - 1, first);
         self.num_open -= 1;
-        // Its own joint is another now, and that of the piece in front of it.
+        // Its joint error changes, and so does that of the piece in front.
         for k in first.max(1)..(first + 2).min(self.num_open) {
             self.find_joint(ray, k - 1);
         }
@@ -158,7 +158,7 @@ impl<P: Piece> Stream<P> {
         self.joint[k] = self.open[k].joined(&self.open[k + 1], ray).error(ray);
     }
 
-    /// The first of the least joints, and how much it is.
+    /// The first of the least joint errors, and its value.
     #[inline(always)]
     fn least_joint(&self) -> (usize, f32) {
         let joints = &self.joint[..self.num_open - 1];
@@ -172,12 +172,12 @@ impl<P: Piece> Stream<P> {
     }
 }
 
-/// Pieces that are open at once. With three, novel views of lists that are full were an eighth worse; with six none were better.
+/// Number of open pieces. With three, novel views of full lists are an eighth worse; with six none are better.
 pub(super) const WINDOW: usize = 4;
-/// Of the limit, for the piece that comes in. Between .35 and .6 novel views are alike, with .2 they were 1 % worse; the more, the
-/// fewer pieces are opened.
+/// Share of the limit for the coming piece. Between .35 and .6 novel views are alike; with .2 they are 1 % worse. A
+/// larger share opens fewer pieces.
 const COMING_SHARE: f32 = 0.5;
-/// A list may be filled by this much more than its ray has passed. With .2, lists of 32 segments lacked what lies behind.
+/// How far a list's fill may run ahead of its ray. With .2, lists of 32 segments lack matter at the back.
 const HEAD_START: f32 = 0.05;
 
 #[cfg(test)]
@@ -212,7 +212,7 @@ mod tests {
 
     fn segments(heights: &[f32], threshold: f32, longest: usize) -> Vec<Heights> {
         let lattice = Lattice { s0: 0.0, h: 1.0, n: heights.len() as u32, unit: 1.0 };
-        let mut stream = Stream::new(threshold, longest, &lattice);
+        let mut stream = PieceStream::new(threshold, longest, &lattice);
         let mut out = vec![];
         for (i, &height) in heights.iter().enumerate() {
             let step = Heights { num: 1.0, low: height, high: height, s1: i as f32 + 1.0 };

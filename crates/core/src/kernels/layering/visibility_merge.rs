@@ -18,29 +18,29 @@
 
 use glam::Vec3;
 
-use super::stream::{Piece, Stream};
+use super::stream::{Piece, PieceStream};
 use super::{OpenSegment, SegmentList, append};
-use crate::kernels::march::{Lattice, Pace, Sink, Step};
+use crate::kernels::march::{Advance, Lattice, Sink, Step};
 use crate::kernels::raycast::greater;
 
-/// A part of a ray, by integrals over its steps.
+/// A piece of a ray, by integrals over its steps.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Matter {
-    /// As one segment.
+pub(super) struct MatterPiece {
+    /// The piece as one segment.
     pub(super) all: OpenSegment,
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
     visibility: f32,
-    /// Integrals of the distance from the front, in steps, and of its square over what is collected.
+    /// Integrals over opacity of the distance from the front, in steps, and of its square.
     first: f32,
     second: f32,
-    /// Integral of the distance over the colour that is collected.
+    /// Integral over colour of the distance.
     color_first: Vec3,
 }
 
-/// Steps in a unit of world distance.
+/// Number of steps per unit of world distance.
 pub(super) struct StepsPerLength(pub(super) f32);
 
-impl Matter {
+impl MatterPiece {
     /// One step, with the transmittance in front of it.
     #[inline(always)]
     pub(super) fn of(step: &Step, transmittance: f32, ray: &StepsPerLength) -> Self {
@@ -56,7 +56,7 @@ impl Matter {
     }
 }
 
-impl Piece for Matter {
+impl Piece for MatterPiece {
     type Ray = StepsPerLength;
 
     #[inline(always)]
@@ -93,7 +93,7 @@ impl Piece for Matter {
         greater(moved + spread, COLOR_WEIGHT * color) * length.sqrt().sqrt() * self.visibility
     }
 
-    /// By the fourth power of the error without its spread, times that of the opacity: no root and one division.
+    /// Compares the fourth power of the error without its spread: this takes no root and one division.
     #[inline(always)]
     fn is_within(&self, limit: f32, ray: &StepsPerLength) -> bool {
         let OpenSegment { s0, s1, c, tau, alpha } = self.all;
@@ -129,7 +129,7 @@ fn even_moments(tau: f32, alpha: f32) -> (f32, f32) {
     (first, second)
 }
 
-/// Deviation of a distance whose integrals over a total of 1/`per_total` are known.
+/// Standard deviation of a distance, from its integrals over a total of 1/`per_total`.
 #[inline(always)]
 fn deviation(first: f32, second: f32, per_total: f32) -> f32 {
     let mean = first * per_total;
@@ -139,20 +139,20 @@ fn deviation(first: f32, second: f32, per_total: f32) -> f32 {
 /// Makes a list of the steps of one ray.
 pub(super) struct Lister<'a> {
     ray: StepsPerLength,
-    stream: Stream<Matter>,
+    stream: PieceStream<MatterPiece>,
     transmittance: f32,
     list: &'a mut SegmentList,
 }
 
 impl<'a> Lister<'a> {
-    /// Writes to `list`, from its start, at most `longest` segments.
+    /// Fills `list` from its start with at most `longest` segments.
     pub(super) fn new(threshold: f32, longest: usize, lattice: &Lattice, list: &'a mut SegmentList) -> Self {
         list.len = 0;
         let ray = StepsPerLength(1.0 / lattice.unit);
-        Self { ray, stream: Stream::new(threshold, longest, lattice), transmittance: 1.0, list }
+        Self { ray, stream: PieceStream::new(threshold, longest, lattice), transmittance: 1.0, list }
     }
 
-    /// The ray is over.
+    /// Ends the ray.
     pub(super) fn finish(mut self) {
         let list = self.list;
         self.stream.finish(&self.ray, |matter| list.push(matter.all));
@@ -161,29 +161,29 @@ impl<'a> Lister<'a> {
 
 impl Sink for Lister<'_> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
-        let matter = Matter::of(&step, self.transmittance, &self.ray);
+    fn step(&mut self, step: Step) -> Advance {
+        let matter = MatterPiece::of(&step, self.transmittance, &self.ray);
         let list = &mut *self.list;
         self.stream.step(&self.ray, matter, step.s0, |matter| list.push(matter.all));
         self.transmittance *= 1.0 - step.alpha;
-        Pace::behind(self.transmittance)
+        Advance::behind(self.transmittance)
     }
 }
 
-/// Counts what comes out of one ray at several thresholds at once.
+/// Counts the segments of one ray at several thresholds at once.
 pub(super) struct Counter<const N: usize> {
     ray: StepsPerLength,
-    streams: [Stream<Matter>; N],
+    streams: [PieceStream<MatterPiece>; N],
     transmittance: f32,
 }
 
 impl<const N: usize> Counter<N> {
     pub(super) fn new(thresholds: &[f32; N], longest: usize, lattice: &Lattice) -> Self {
-        let streams = thresholds.map(|threshold| Stream::new(threshold, longest, lattice));
+        let streams = thresholds.map(|threshold| PieceStream::new(threshold, longest, lattice));
         Self { ray: StepsPerLength(1.0 / lattice.unit), streams, transmittance: 1.0 }
     }
 
-    /// Segments at each threshold.
+    /// Number of segments at each threshold.
     pub(super) fn finish(mut self) -> [u32; N] {
         self.streams.each_mut().map(|stream| {
             stream.finish(&self.ray, |_| ());
@@ -194,26 +194,27 @@ impl<const N: usize> Counter<N> {
 
 impl<const N: usize> Sink for Counter<N> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
-        let matter = Matter::of(&step, self.transmittance, &self.ray);
+    fn step(&mut self, step: Step) -> Advance {
+        let matter = MatterPiece::of(&step, self.transmittance, &self.ray);
         for stream in &mut self.streams {
             stream.step(&self.ray, matter, step.s0, |_| ());
         }
         self.transmittance *= 1.0 - step.alpha;
-        Pace::behind(self.transmittance)
+        Advance::behind(self.transmittance)
     }
 }
 
-/// Least visibility that matter is counted with. With .2 smooth media were some percent worse. With .05 what leaves hide was a
-/// tenth worse at 30°.
+/// Least visibility of matter. With .2 smooth media are some percent worse. With .05, matter behind leaves is a tenth
+/// worse at 30°.
 const VISIBILITY_FLOOR: f32 = 0.1;
-/// Weight of displaced colour, as sRGB, against displaced opacity. With 3 novel views were 3 % worse, with 12 alike.
+/// Weight of displaced colour, as sRGB, against displaced opacity. With 3 novel views are 3 % worse, with 12 alike.
 const COLOR_WEIGHT: f32 = 6.0;
-/// A piece without any opacity is divided by this.
+/// Least opacity that is divided by.
 const ALPHA_LEAST: f32 = 1e-30;
-/// Surfaces can lie at one place.
+/// Least length that is divided by: surfaces may coincide.
 const LENGTH_LEAST: f32 = 1e-30;
-/// The first term that the series leave out is below 10⁻⁵ here, the rounding of the differences too.
+/// Below this optical depth the series are used. Their first omitted term is below 10⁻⁵, like the rounding of the
+/// differences.
 const SERIES_BELOW: f32 = 0.1;
 
 #[cfg(test)]
@@ -228,11 +229,11 @@ mod tests {
         Step { s0, s1, c: Vec3::splat(color * alpha), tau, alpha }
     }
 
-    fn joined(steps: &[Step]) -> Matter {
+    fn joined(steps: &[Step]) -> MatterPiece {
         let mut transmittance = 1.0;
-        let mut all: Option<Matter> = None;
+        let mut all: Option<MatterPiece> = None;
         for step in steps {
-            let matter = Matter::of(step, transmittance, &RAY);
+            let matter = MatterPiece::of(step, transmittance, &RAY);
             transmittance *= 1.0 - step.alpha;
             all = Some(all.map_or(matter, |all| all.joined(&matter, &RAY)));
         }
@@ -306,7 +307,7 @@ mod tests {
     fn hidden_matter_weighs_less_but_not_nothing() {
         let halves = |front: f32| {
             let parts = [step(0.0, 1.0, 0.1, 1.0), step(5.0, 6.0, 0.1, 1.0)];
-            let of = |s: &Step| Matter::of(s, front, &RAY);
+            let of = |s: &Step| MatterPiece::of(s, front, &RAY);
             of(&parts[0]).joined(&of(&parts[1]), &RAY).error(&RAY)
         };
         assert!((halves(0.5) / halves(1.0) - 0.5).abs() < 1e-5);

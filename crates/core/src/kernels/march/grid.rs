@@ -1,23 +1,23 @@
-//! Trilinear samples of a grid in memory: one at a time, as the shader reads them, and eight along a ray at once, as a
-//! processor likes them. Both do the same arithmetic in the same order, so they have the same bits.
+//! Trilinear samples of a grid in memory: one at a time, as in the shader, and eight along a ray at once, for vector
+//! instructions. Both do the same arithmetic in the same order, so their bits are equal.
 
 use glam::Vec3;
 
-/// Points that are sampled at once.
+/// Points sampled at once.
 pub(super) const LANES: usize = 8;
 
-/// A number for each of [`LANES`] points.
+/// One number for each of [`LANES`] points.
 pub(super) type Lanes = [f32; LANES];
 
-/// Stored numbers in memory, by index.
+/// Stored numbers by index.
 pub trait Texels: Copy + Send + Sync {
     /// The stored number at index `i`.
     fn at(self, i: usize) -> f32;
 
-    /// The stored numbers at the indices `i` and those behind each.
+    /// The stored numbers at the indices `i` and at each next index.
     fn pairs(self, i: [u32; LANES]) -> [Lanes; 2];
 
-    /// How many there are.
+    /// The number of texels.
     fn count(self) -> usize;
 }
 
@@ -28,7 +28,7 @@ impl Texels for &[u8] {
 
     #[inline(always)]
     fn pairs(self, i: [u32; LANES]) -> [Lanes; 2] {
-        // One load for both, taken apart by vector instructions.
+        // One load covers both; vector instructions separate them.
         let mut both = [0u16; LANES];
         for m in 0..LANES {
             if let Some(&pair) = self[i[m] as usize..].first_chunk() {
@@ -92,21 +92,21 @@ impl Texels for &[f32] {
     }
 }
 
-/// Texels on a grid, x fastest; outside of the outermost centres the nearest face holds.
+/// Texels on a grid, x fastest. Beyond the outermost centres the nearest face continues.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Grid<T> {
     texels: T,
     strides: [u32; 3],
     /// Coordinates of the last centre.
     last: [f32; 3],
-    /// Greatest corner of a cell.
+    /// Greatest first corner of a cell.
     greatest: [i32; 3],
-    /// Whether every cell has two texels along each axis, at indices of 32 bits.
+    /// Whether every cell has two texels along each axis, at 32-bit indices.
     has_lanes: bool,
 }
 
 impl<T: Texels> Grid<T> {
-    /// `texels` of a grid of `dims`.
+    /// Wraps `texels` of a grid of `dims`.
     pub(super) fn new(texels: T, dims: [u32; 3]) -> Self {
         let has_lanes = texels.count() <= u32::MAX as usize && dims.iter().all(|&d| d > 1);
         Self {
@@ -118,7 +118,7 @@ impl<T: Texels> Grid<T> {
         }
     }
 
-    /// The value at a point of voxel space.
+    /// The value at a point in voxel space.
     pub(super) fn sample(&self, p: Vec3) -> f32 {
         let (cx, tx) = self.cell(0, p.x);
         let (cy, ty) = self.cell(1, p.y);
@@ -134,8 +134,8 @@ impl<T: Texels> Grid<T> {
         mix(mix(x00, x10, ty), mix(x01, x11, ty), tz)
     }
 
-    /// The values at the points origin + dir·s of voxel space.
-    // Loops over the lanes and not `map`: the compiler leaves closures where wider instructions are not allowed.
+    /// The values at the points origin + dir·s in voxel space.
+    // These are loops and not `map`, because the compiler does not use wider instructions in closures.
     #[inline(always)]
     pub(super) fn sample_lanes(&self, origin: Vec3, dir: Vec3, s: &Lanes) -> Lanes {
         let mut value = [0.0; LANES];
@@ -163,7 +163,7 @@ impl<T: Texels> Grid<T> {
         value
     }
 
-    /// The values between the texels that are `offset` behind `at` and those next to them along x.
+    /// The values interpolated along x between texels at `offset` from `at`.
     #[inline(always)]
     fn rows(&self, at: &[u32; LANES], offset: u32, tx: &Lanes) -> Lanes {
         let mut i = [0u32; LANES];
@@ -178,7 +178,7 @@ impl<T: Texels> Grid<T> {
         x
     }
 
-    /// Corners and places of the points origin + dir·s along one axis.
+    /// Corners of the points origin + dir·s along one axis, and their positions within the cells.
     #[inline(always)]
     fn cells(&self, axis: usize, origin: f32, dir: f32, s: &Lanes) -> ([u32; LANES], Lanes) {
         let (mut c, mut t) = ([0u32; LANES], [0.0; LANES]);
@@ -189,11 +189,11 @@ impl<T: Texels> Grid<T> {
         (c, t)
     }
 
-    /// The cell along one axis that the coordinate `p` of voxel space lies in, its corners voxel centres, and the place
-    /// in there.
+    /// The cell along one axis that holds the coordinate `p` of voxel space, between voxel centres, and the position
+    /// within.
     #[inline(always)]
     fn cell(&self, axis: usize, p: f32) -> (i32, f32) {
-        // Where the nearest face holds, so does its point; and an eye that is very far away puts its points anywhere.
+        // The clamp continues the nearest face, and bounds the points of a very distant eye.
         let u = p - 0.5;
         let u = if u > 0.0 { u } else { 0.0 };
         let u = if u < self.last[axis] { u } else { self.last[axis] };

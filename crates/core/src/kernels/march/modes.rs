@@ -1,14 +1,14 @@
 //! What each mode makes of a step: a piece of an absorbing medium, of a projection, or surfaces. Twin of
 //! `shaders/march/*.wgsl`.
 //!
-//! In a projection a step is handed on as what it holds, in the fields of [`Step`]: see [`Values`] for the greatest and
-//! the least value; of the average `c` is the integral of what is shown over the step. Keys stand for values: the
-//! position x for the greatest, 1 − x for the least, so that the greatest key wins either way.
+//! A projection uses the fields of [`Step`] in its own way: see [`Values`] for the greatest and the least value. For
+//! the mean, `c` is the integral of the shown colour over the step. Keys represent values: the position x for the
+//! greatest, 1 − x for the least. So the greatest key always wins.
 
 use glam::Vec3;
 
 use super::grid::Lanes;
-use super::{Lattice, Marcher, Pace, Scene, Sink, Step, TAU_MIN, Texels, lookup};
+use super::{Advance, Lattice, Marcher, Scene, Sink, Step, TAU_MIN, Texels, lookup};
 use crate::kernels::raycast::opacity;
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
@@ -21,13 +21,13 @@ pub struct Surface {
     pub x: f32,
     /// The stored number.
     pub stored: f32,
-    /// Linear colour, not premultiplied: the transfer function's at that value.
+    /// Linear colour, not premultiplied: that of the transfer function at this value.
     pub color: Vec3,
     /// Optical depth of a crossing.
     pub tau: f32,
 }
 
-/// The surfaces by ascending position; the value that parts the histogram best if none are given.
+/// The surfaces by ascending position; by default the value that splits the histogram best.
 pub(super) fn surfaces(
     transfer: &TransferFunction,
     table: &TransferTable,
@@ -39,11 +39,11 @@ pub(super) fn surfaces(
     let isos = if isos.as_slice().is_empty() { &parting } else { isos.as_slice() };
     let (scale, offset) = volume.value_map();
     let each = isos.iter().map(|iso| {
-        // In double precision, as the map of positions is made.
+        // Double precision, like the map of positions.
         let stored = (f64::from(iso.value) - f64::from(offset)) / f64::from(scale);
         let scaled = stored * f64::from(table.x_scale);
         let x = scaled + f64::from(table.x_offset);
-        // Below all roundings of a march, so that voxels of this very value lie inside.
+        // The tiny offset exceeds all roundings of a march, so that voxels of this exact value lie inside.
         let x = (x - f64::from(2.0 * f32::EPSILON) * (scaled.abs() + x.abs())) as f32;
         let (color, _) = transfer.at(x.clamp(0.0, 1.0));
         let tau = -(1.0 - iso.opacity.min(MAX_OPACITY)).ln();
@@ -55,7 +55,7 @@ pub(super) fn surfaces(
     surfaces
 }
 
-/// The bricks that a mode leaves visible, and for the greatest or the least value the keys that they may have.
+/// The bricks that a mode leaves visible. For the greatest or the least value also the keys that they may have.
 pub(super) fn occupancy(
     bricks: &Bricks,
     mode: Mode,
@@ -70,13 +70,13 @@ pub(super) fn occupancy(
     bricks.occupancy_by(|lo, hi| is_visible(mode, table, surfaces, lo, hi), peak)
 }
 
-/// Whether a sample between two stored numbers may show. Errs on the side of yes.
+/// Whether a sample between two stored numbers may be visible; it errs on the side of yes.
 fn is_visible(mode: Mode, table: &TransferTable, surfaces: &[Surface], lo: f32, hi: f32) -> bool {
     let (a, b) = table.positions(lo, hi);
     let clamped = |x: f32| x.clamp(0.0, 1.0);
     match mode {
         Mode::Composite | Mode::Average => table.is_visible(lo, hi),
-        // What only dark values are as dark as does neither show nor hide.
+        // A key that is as dark as every lower one neither shows nor hides anything.
         Mode::Mip => table.has_any(0.0, clamped(b)),
         Mode::MinIp => table.has_any(clamped(a), 1.0),
         Mode::Iso => {
@@ -86,7 +86,7 @@ fn is_visible(mode: Mode, table: &TransferTable, surfaces: &[Surface], lo: f32, 
     }
 }
 
-/// Steps whose greatest key is not above this neither show in a projection nor hide anything: everything below is black.
+/// The key up to which steps neither show nor hide anything in a projection: everything below is black.
 pub fn key_limit(mode: Mode, table: &TransferTable) -> f32 {
     let is_black = |node: &[f32; 4]| node[3] <= 0.0;
     let black = match mode {
@@ -97,14 +97,14 @@ pub fn key_limit(mode: Mode, table: &TransferTable) -> f32 {
     if black == 0 { -1.0 } else { (black - 1) as f32 / TABLE_BINS as f32 }
 }
 
-/// Linear colour that is shown of a key.
+/// Linear display colour of a key.
 pub fn shown_of_key(table: &TransferTable, is_least: bool, key: f32) -> Vec3 {
     let key = key.clamp(0.0, 1.0);
     let shown = lookup(&table.density, if is_least { 1.0 - key } else { key });
     Vec3::new(shown[0], shown[1], shown[2])
 }
 
-/// The keys of a step in a projection of the greatest or the least value, in the fields of a [`Step`].
+/// The keys of a step in a projection of the greatest or the least value, stored in the fields of a [`Step`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Values {
     /// Greatest key.
@@ -116,13 +116,13 @@ pub struct Values {
 }
 
 impl Values {
-    /// Of a step between whose ends the key is linear.
+    /// The keys of a step with a linear key between its ends.
     fn between(y0: f32, y1: f32) -> Self {
         let square = (y0 * y0 + y0 * y1 + y1 * y1) * (1.0 / 3.0);
         Self { peak: if y0 > y1 { y0 } else { y1 }, mean: 0.5 * (y0 + y1), square }
     }
 
-    /// Out of a step.
+    /// Reads the keys from a step.
     pub fn of(step: &Step) -> Self {
         Self { peak: step.tau, mean: step.alpha, square: step.c.x }
     }
@@ -133,7 +133,7 @@ impl Values {
 }
 
 /// Two neighbouring samples of a march.
-pub(super) struct Between {
+pub(super) struct SamplePair {
     /// Positions in the domain.
     pub(super) x0: f32,
     pub(super) x1: f32,
@@ -143,7 +143,7 @@ pub(super) struct Between {
 }
 
 impl<T: Texels> Marcher<'_, T> {
-    /// One bit a step, set where it may show.
+    /// One bit per step, set where it may be visible.
     #[inline(always)]
     pub(super) fn visible_steps<const MODE: u8>(&self, x0: &Lanes, x1: &Lanes) -> u32 {
         let mut bits = 0;
@@ -164,17 +164,17 @@ impl<T: Texels> Marcher<'_, T> {
         bits
     }
 
-    /// Hands what is between two samples to the sink; none if that is nothing.
+    /// Hands the step between two samples to the sink, if it is visible.
     #[inline(always)]
     pub(super) fn take<const MODE: u8>(
         &self,
-        &Between { x0, x1, s0, s1 }: &Between,
+        &SamplePair { x0, x1, s0, s1 }: &SamplePair,
         brightness: f32,
         (origin, dir): (Vec3, Vec3),
         sink: &mut impl Sink,
-    ) -> Option<Pace> {
+    ) -> Option<Advance> {
         if MODE == SURFACES {
-            return self.cross(&Between { x0, x1, s0, s1 }, origin, dir, sink);
+            return self.cross(&SamplePair { x0, x1, s0, s1 }, origin, dir, sink);
         }
         if MODE == GREATEST {
             return Some(sink.step(Values::between(x0, x1).step(s0, s1)));
@@ -184,12 +184,12 @@ impl<T: Texels> Marcher<'_, T> {
         }
         let (color, tau) = self.classify(x0, x1, s1 - s0);
         if MODE == MEAN {
-            // In the table of a projection the place of extinction has the greatest channel, and colour is that which is
-            // multiplied by it.
+            // In a projection, the table has the greatest channel in place of extinction, which multiplies the
+            // colour.
             let step = Step { s0, s1, c: color * tau, tau: 0.0, alpha: 0.0 };
             return (tau > 0.0).then(|| sink.step(step));
         }
-        // No closure: the compiler would leave it where wider instructions are not allowed.
+        // A closure would not use wider instructions.
         if tau <= TAU_MIN {
             return None;
         }
@@ -197,9 +197,9 @@ impl<T: Texels> Marcher<'_, T> {
         Some(sink.step(Step { s0, s1, c: color * (brightness * alpha), tau, alpha }))
     }
 
-    /// The surfaces that lie between two samples. A step into greater values begins at the crossing and ends behind it, one into
-    /// lesser values ends in front of it; [`super::surfaces`] makes segments of these.
-    fn cross(&self, ends: &Between, origin: Vec3, dir: Vec3, sink: &mut impl Sink) -> Option<Pace> {
+    /// Hands on the surfaces between two samples. A step into greater values begins at the crossing, and one into
+    /// lesser values ends there; [`super::surfaces`] makes segments of them.
+    fn cross(&self, ends: &SamplePair, origin: Vec3, dir: Vec3, sink: &mut impl Sink) -> Option<Advance> {
         let mut pace = None;
         let to_greater = ends.x1 > ends.x0;
         let num = self.scene.surfaces.len();
@@ -209,7 +209,7 @@ impl<T: Texels> Marcher<'_, T> {
             if (ends.x0 < surface.x) == (ends.x1 < surface.x) {
                 continue;
             }
-            // On the chord, and twice on the chord of the part that still passes the value.
+            // The secant method: once on the chord, and twice on the chord of the part with the crossing.
             let (mut a, mut b) = ((ends.s0, ends.x0), (ends.s1, ends.x1));
             let chord = |a: (f32, f32), b: (f32, f32)| {
                 (a.0 + (b.0 - a.0) * ((surface.x - a.1) / (b.1 - a.1))).clamp(a.0, b.0)
@@ -234,7 +234,7 @@ impl<T: Texels> Marcher<'_, T> {
             let s1 = if to_greater { f32::INFINITY } else { f32::NEG_INFINITY };
             let next = sink.step(Step { s0: s, s1, c, tau: surface.tau, alpha });
             pace = Some(next);
-            if next == Pace::Stop {
+            if next == Advance::Stop {
                 break;
             }
         }
@@ -242,21 +242,21 @@ impl<T: Texels> Marcher<'_, T> {
     }
 }
 
-/// What a projection shows of a ray.
-pub(super) struct Shown<'a> {
+/// What a projection has collected along a ray.
+pub(super) struct Collected<'a> {
     scene: &'a Scene,
-    /// Greatest key; below any without a step.
+    /// Greatest key; negative before any step.
     key: f32,
-    /// Integral of what is shown.
+    /// Integral of the shown colour.
     integral: Vec3,
 }
 
-impl<'a> Shown<'a> {
+impl<'a> Collected<'a> {
     pub(super) fn new(scene: &'a Scene) -> Self {
         Self { scene, key: -1.0, integral: Vec3::ZERO }
     }
 
-    /// Colour, and as opacity its greatest channel.
+    /// The colour, with its greatest channel as opacity.
     pub(super) fn rgba(&self, lattice: Lattice) -> [f32; 4] {
         let c = match self.scene.settings.mode {
             Mode::Average => self.integral / (lattice.h * lattice.n as f32),
@@ -267,12 +267,12 @@ impl<'a> Shown<'a> {
     }
 }
 
-impl Sink for Shown<'_> {
+impl Sink for Collected<'_> {
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.key = if step.tau > self.key { step.tau } else { self.key };
         self.integral += step.c;
-        Pace::Step
+        Advance::Step
     }
 
     #[inline(always)]
@@ -284,11 +284,11 @@ impl Sink for Shown<'_> {
 const GREATEST: u8 = Mode::Mip as u8;
 const LEAST: u8 = Mode::MinIp as u8;
 const MEAN: u8 = Mode::Average as u8;
-/// [`Mode::Iso`] as the parameter of a march.
+/// [`Mode::Iso`] as a const parameter of the march.
 pub(super) const SURFACES: u8 = Mode::Iso as u8;
-/// Positions beyond count as this: their differences are finite.
+/// Clamp for positions, which keeps their differences finite.
 pub(super) const FARTHEST: f32 = 1e30;
-/// How often the place of a crossing is looked for again: the field is nearly linear within half a voxel.
+/// Number of secant refinements of a crossing: the field is nearly linear within half a voxel.
 const REFINEMENTS: usize = 2;
-/// Of a position that is interpolated between others.
+/// Rounding error of an interpolated position.
 const POSITION_ROUNDING: f32 = 1e-5;

@@ -1,4 +1,4 @@
-//! What a march need not sample: bricks without anything to see, and steps that the table says are clear.
+//! What a march need not sample: invisible bricks, and steps that the table shows to be clear.
 
 use glam::{BVec3, Vec3};
 
@@ -7,7 +7,7 @@ use super::{Lattice, Marcher, STRIDE, bin};
 use crate::transfer::{TABLE_BINS, TransferTable};
 use crate::volume::{BRICK, Occupancy};
 
-/// Jumps over invisible bricks along one ray.
+/// Skips invisible bricks along one ray.
 pub(super) struct Skipper<'a> {
     occupancy: &'a Occupancy,
     max_brick: Vec3,
@@ -16,7 +16,7 @@ pub(super) struct Skipper<'a> {
     inv_dir: Vec3,
     is_ascending: BVec3,
     lattice: Lattice,
-    /// Whether neighbouring ends of steps are in one brick or in bricks that touch.
+    /// Whether both ends of every step lie in the same or in touching bricks.
     is_fine: bool,
 }
 
@@ -36,13 +36,14 @@ impl<'a> Skipper<'a> {
         }
     }
 
-    /// The first lattice point from `i` on, by strides, whose step may be visible and above the key `least`; or n.
+    /// The first lattice point from `i` on, by strides, whose step may be visible and above the key `least`; n if
+    /// none.
     #[inline(always)]
     pub(super) fn skip(&self, mut i: u32, stride: u32, least: f32) -> u32 {
         let Lattice { s0, h, n, .. } = self.lattice;
         let (mut brick, mut empty) = self.brick_at(i, least);
         while empty > 0 {
-            // The last lattice point inside of the invisible bricks around.
+            // The last lattice point within the surrounding invisible bricks.
             let reach = if self.is_fine { empty as f32 } else { 1.0 };
             let leaves =
                 brick + Vec3::select(self.is_ascending, Vec3::splat(reach), Vec3::splat(1.0 - reach));
@@ -64,8 +65,8 @@ impl<'a> Skipper<'a> {
         i
     }
 
-    /// The brick of lattice point `i`, and how many bricks away the nearest visible one is; at least one if nothing in it is
-    /// above the key `least`.
+    /// The brick of lattice point `i`, and the distance to the nearest visible one, in bricks. It is at least one if
+    /// nothing in this brick is above the key `least`.
     #[inline(always)]
     fn brick_at(&self, i: u32, least: f32) -> (Vec3, u32) {
         let p = self.origin + self.dir * (self.lattice.s0 + i as f32 * self.lattice.h);
@@ -79,8 +80,8 @@ impl<'a> Skipper<'a> {
     }
 }
 
-/// Which bins of a table have any extinction, in a form that tells it of a range of bins by two look-ups: how many there
-/// are before each bin, and, in the upper half of the word, up to and with it.
+/// The bins of a table with any extinction, so that two look-ups answer for a range of bins. The lower half of a word
+/// counts such bins before it, the upper half up to and including it.
 pub(super) struct VisibleBins(Box<[u32; TABLE_BINS]>);
 
 impl VisibleBins {
@@ -97,7 +98,7 @@ impl VisibleBins {
         Self(counts)
     }
 
-    /// One bit a step between the domain positions `x0` and `x1`, set where it may have any extinction.
+    /// One bit per step between the domain positions `x0` and `x1`, set where it may have any extinction.
     #[inline(always)]
     pub(super) fn between(&self, x0: &Lanes, x1: &Lanes) -> u32 {
         let (mut a, mut b) = ([0; LANES], [0; LANES]);

@@ -1,38 +1,40 @@
 //! Surfaces with thickness. Twin of the same functions in `shaders/march/surfaces.wgsl`.
 //!
-//! A surface has none, but in a layered frame it needs some: a new ray passes from list to list, and where the surface
-//! lies deeper in one list than in the next by more than it is thick, the ray slips through. What an opaque surface
-//! encloses is seen from nowhere outside, so its crossings are filled up with its own matter: from where a ray enters half
-//! way to where it leaves, with the colour of the front, and from there on with that of the back. Opaque matter is made so
-//! dense that the ray it was met by has its colours as without, but for the e^−τ, at most 1/2980, that came through the surface. A
-//! translucent surface is [`THICKNESS_IN_VOXELS`] thick and no thicker than half the way to the next crossing. Both lie on
-//! the side of the bodies: of the greater values, or of the lesser ones where opaque surfaces enclose those
-//! ([`has_lesser_bodies`]); on the other side, a body of lesser values would fill all that is open behind it.
+//! A surface is infinitely thin, but in a layered frame it needs thickness. A new ray passes from list to list. Where
+//! the surface's depth differs between lists by more than its thickness, the ray slips through. Nobody outside sees
+//! what an opaque surface encloses, so its crossings are filled with its own matter. The fill has the front's colour
+//! from the entry to half way, and the back's colour from there to the exit.
+//!
+//! Opaque matter is dense: the ray that found it has the same colours but for the e^−τ, at most 1/2980, that came
+//! through the surface. A translucent surface is [`THICKNESS_IN_VOXELS`] thick, and no thicker than half the way to
+//! the next crossing. Both lie on the side of the bodies: of greater values, or of lesser ones where opaque surfaces
+//! enclose those ([`has_lesser_bodies`]). On the other side, a body of lesser values would fill the open space behind
+//! it.
 
 use super::modes::Surface;
-use super::{Lattice, Pace, Sink, Step};
+use super::{Advance, Lattice, Sink, Step};
 use crate::clip::Clip;
 use crate::kernels::raycast::opacity;
 use crate::transfer::TransferTable;
 use crate::volume::{Sheet, Volume, has_lesser_bodies};
 
-/// The surfaces as light meets them.
+/// The surfaces for lighting.
 pub(super) fn sheets(surfaces: &[Surface]) -> Vec<Sheet> {
     let sheet = |&Surface { stored, tau, .. }: &Surface| Sheet { stored, tau, is_opaque: tau > OPAQUE_TAU };
     surfaces.iter().map(sheet).collect()
 }
 
-/// Whether the bodies that opaque surfaces enclose in what is left of a volume lie among the lesser values.
+/// Whether the bodies inside opaque surfaces, in the visible part of a volume, have lesser values.
 pub(super) fn has_lesser(surfaces: &[Surface], table: &TransferTable, volume: &Volume, clip: &Clip) -> bool {
     let is_lesser = has_lesser_bodies(&sheets(surfaces), volume, &clip.region(&volume.bounds()));
-    // Values, and with them positions, may fall where stored numbers rise.
+    // Values and positions may fall where stored numbers rise.
     is_lesser.is_some_and(|is_lesser| is_lesser == (table.x_scale > 0.0))
 }
 
 /// Hands crossings on as segments that do not overlap.
 pub(super) struct Thicken<'a, S> {
     sink: &'a mut S,
-    /// The last crossing; its matter begins at `s0`, and its place is `place`.
+    /// The last crossing.
     pending: Option<Pending>,
     lattice: Lattice,
     voxel: f32,
@@ -43,7 +45,7 @@ pub(super) struct Thicken<'a, S> {
 struct Pending {
     step: Step,
     place: f32,
-    /// Whether the matter is behind the place.
+    /// Whether the matter is behind the crossing.
     enters: bool,
 }
 
@@ -53,7 +55,7 @@ impl<'a, S: Sink> Thicken<'a, S> {
         Self { sink, pending: None, lattice, voxel, has_lesser_bodies, has_stopped: false }
     }
 
-    /// Hands on the last crossing, too.
+    /// Hands on the last crossing and ends the ray.
     pub(super) fn finish(mut self) {
         let end = self.lattice.s0 + self.lattice.h * self.lattice.n as f32;
         if let Some(pending) = self.pending.take().filter(|_| !self.has_stopped) {
@@ -61,18 +63,18 @@ impl<'a, S: Sink> Thicken<'a, S> {
         }
     }
 
-    /// How far a crossing's matter may reach.
+    /// The greatest thickness of a crossing's matter.
     fn reach(&self, step: &Step) -> f32 {
         if step.tau > OPAQUE_TAU { f32::INFINITY } else { THICKNESS_IN_VOXELS * self.voxel }
     }
 
-    /// `most` bounds what is behind the place.
-    fn hand_on(&mut self, pending: &Pending, most: f32) -> Pace {
+    /// Hands on a crossing; `most` bounds the matter behind it.
+    fn hand_on(&mut self, pending: &Pending, most: f32) -> Advance {
         let mut step = pending.step;
         let back = if pending.enters { pending.place + self.reach(&step) } else { pending.place };
         step.s1 = back.min(most).max(step.s0);
         if step.tau > OPAQUE_TAU {
-            // So dense that a voxel of it is opaque.
+            // This density makes a voxel of it opaque.
             let denser = ((step.s1 - step.s0) / self.voxel).max(1.0);
             let alpha = opacity(step.tau * denser);
             step.c *= alpha / step.alpha;
@@ -83,10 +85,10 @@ impl<'a, S: Sink> Thicken<'a, S> {
 }
 
 impl<S: Sink> Sink for Thicken<'_, S> {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         let (place, enters) = (step.s0, (step.s1 > step.s0) != self.has_lesser_bodies);
-        let mut pace = Pace::Step;
-        // An opaque body that the ray begins in would hide what is in it.
+        let mut pace = Advance::Step;
+        // An opaque body around the ray's start would hide its inside.
         let mut before = place - self.reach(&step).min(THICKNESS_IN_VOXELS * self.voxel);
         before = before.max(self.lattice.s0);
         if let Some(pending) = self.pending.take() {
@@ -97,13 +99,13 @@ impl<S: Sink> Sink for Thicken<'_, S> {
         }
         let s0 = if enters { place } else { before };
         self.pending = Some(Pending { step: Step { s0, ..step }, place, enters });
-        self.has_stopped = pace == Pace::Stop;
-        // By strides a thin sheet is stepped over, and lists lack a wall: no integral tells of it.
-        if pace == Pace::Stride { Pace::Step } else { pace }
+        self.has_stopped = pace == Advance::Stop;
+        // A stride would step over a thin sheet, and lists would lack a wall: no integral reveals it.
+        if pace == Advance::Stride { Advance::Step } else { pace }
     }
 }
 
-/// Optical depth above which a crossing is opaque, half way between opacities of 0.999 and 0.9999.
+/// Optical depth above which a crossing is opaque, between opacities of 0.999 and 0.9999.
 const OPAQUE_TAU: f32 = 8.0;
-/// At two, surfaces at 60° to the lists have no gaps.
+/// At two voxels, surfaces at 60° to the lists have no gaps.
 const THICKNESS_IN_VOXELS: f32 = 2.0;

@@ -1,4 +1,4 @@
-//! Whole marches with the widest instructions of this processor against the portable ones: the same steps, to the bit.
+//! Whole marches with the processor's widest instructions and with portable ones take the same steps, to the bit.
 
 use super::*;
 use crate::camera::{Intrinsics, Pose};
@@ -14,11 +14,11 @@ struct Steps {
 }
 
 impl Sink for Steps {
-    fn step(&mut self, step: Step) -> Pace {
+    fn step(&mut self, step: Step) -> Advance {
         self.steps.push(step);
         self.over.add(step.c, step.tau);
-        match Pace::behind(self.over.transmittance) {
-            Pace::Stride if self.stops => Pace::Stop,
+        match Advance::behind(self.over.transmittance) {
+            Advance::Stride if self.stops => Advance::Stop,
             pace => pace,
         }
     }

@@ -5,8 +5,8 @@ use crate::camera::PixelLine;
 use crate::kernels::empty_space::TILE;
 use crate::layer::DEPTH_UNITS;
 
-/// A ray clipped to the old frustum: a straight line in pixel space, and the three constants.
-pub(in crate::kernels) struct Line {
+/// A ray clipped to the frame's frustum: a straight line in pixel space, and the three constants.
+pub(in crate::kernels) struct PixelSpan {
     /// Pixel position at t = 0.
     pub(in crate::kernels) p0: [f32; 2],
     /// Pixel position at t = 1 minus that at t = 0.
@@ -16,19 +16,19 @@ pub(in crate::kernels) struct Line {
     pub(in crate::kernels) s_w0: f32,
     pub(in crate::kernels) w1: f32,
     pub(in crate::kernels) w0_minus_w1: f32,
-    /// Depth is this times the reciprocal of the weight, and as much times t as the next says.
+    /// View depth is this times the reciprocal of the weight, plus the next number times t.
     pub(super) depth_over_w: f32,
     pub(super) depth_slope: f32,
-    /// Nothing is met before and behind.
+    /// Parameters before and after which the line meets nothing.
     pub(super) reach: [f32; 2],
 }
 
-impl Line {
-    /// Leaves out what is nearer or farther than two world distances from the ray's origin; whether anything is left.
+impl PixelSpan {
+    /// Cuts the line to two world distances from the ray's origin. Returns whether anything is left.
     #[inline(always)]
     pub(super) fn narrow(&mut self, distances: [f32; 2]) -> bool {
         let [first, last] = distances.map(|s| s - self.s0);
-        // S·w0/w0.
+        // The whole length, S·w0/w0.
         let length = self.s_w0 / (self.w1 + self.w0_minus_w1);
         let t = |s: f32| s * self.w1 / (self.s_w0 - s * self.w0_minus_w1);
         self.reach = [if first > 0.0 { t(first) } else { 0.0 }, if last < length { t(last) } else { 1.0 }];
@@ -36,8 +36,8 @@ impl Line {
     }
 }
 
-/// The planes of a frustum on a ray, each as the numbers (a, b) of its inside, a + b·s ≥ 0: near, and the borders of a
-/// picture of `size`, `inset` pixels inside of them.
+/// The near plane and the borders of a frustum along a ray. Each pair (a, b) is inside where a + b·s ≥ 0. The borders
+/// are those of a picture of `size`, moved `inset` pixels inwards.
 #[inline(always)]
 pub(in crate::kernels) fn frustum_planes(
     &PixelLine { o, d, depth }: &PixelLine,
@@ -55,7 +55,7 @@ pub(in crate::kernels) fn frustum_planes(
     ]
 }
 
-/// The part of `within` that is inside of all planes; empty if its end is not after its start.
+/// The part of `within` inside all planes; empty unless its end is after its start.
 #[inline(always)]
 pub(in crate::kernels) fn clip_by_planes(
     planes: [(f32, f32); 5],
@@ -73,9 +73,9 @@ pub(in crate::kernels) fn clip_by_planes(
     (s0, s1)
 }
 
-/// The parts of a ray inside successive columns of lists, or, for the nearest list, between all borders of lists.
-pub(super) struct Stretch<const N: usize> {
-    /// How many there are.
+/// The parts of a ray in successive columns of lists, or between all list borders for the nearest list.
+pub(super) struct ColumnSpans<const N: usize> {
+    /// The number of parts.
     pub(super) num: usize,
     /// Least depth, in units.
     pub(super) lo: [f32; N],
@@ -85,20 +85,20 @@ pub(super) struct Stretch<const N: usize> {
     pub(super) hi: [f32; N],
     /// The same, rounded down.
     pub(super) hi_units: [i32; N],
-    /// World length of the ray for each unit of depth.
+    /// World length of the ray per unit of depth.
     pub(super) length_per_unit: [f32; N],
-    /// The first of the two lists that it runs between, across the way; for the nearest list, that one.
+    /// The first of the two lists that it runs between, across the line; or the nearest list.
     pub(super) row: [i32; N],
     /// Nearness to the second.
     pub(super) fraction: [f32; N],
 }
 
-impl<const N: usize> Stretch<N> {
+impl<const N: usize> ColumnSpans<N> {
     /// The columns of a tile from `column` on, between two parameters of the line.
     #[inline(always)]
     pub(super) fn new(
         caster: &Raycaster,
-        line: &Line,
+        line: &PixelSpan,
         columns: &Columns,
         column: i32,
         (t_in, t_out): (f32, f32),
@@ -113,7 +113,7 @@ impl<const N: usize> Stretch<N> {
             }
             t[1..].copy_from_slice(&t_end[..N - 1]);
         } else {
-            // The line runs faster along than across, so it changes its row once in a column at most.
+            // The line runs faster along than across, so it changes its row at most once per column.
             let mut t_column = t_in;
             for i in 0..N / 2 {
                 let end = lesser(columns.t(column, i as i32), t_out);
@@ -138,7 +138,7 @@ impl<const N: usize> Stretch<N> {
             row: [0; N],
             fraction: [0.0; N],
         };
-        // Each loop is a few vector instructions.
+        // Each loop compiles to a few vector instructions.
         let (mut depth, mut distance) = ([0.0; N], [0.0; N]);
         for i in 0..N {
             (depth[i], distance[i]) = caster.at(line, t[i]);
@@ -149,7 +149,7 @@ impl<const N: usize> Stretch<N> {
         }
         for i in 0..N {
             s.lo[i] = lesser(depth[i], depth_end[i]);
-            // A ray along the old image plane stays at one depth; the guard makes the share of the crossing 1.
+            // A ray parallel to the old image plane stays at one depth; the guard makes its share of the crossing 1.
             s.hi[i] = greater(greater(depth[i], depth_end[i]), s.lo[i] + MIN_CROSSING);
         }
         for i in 0..N {
@@ -172,8 +172,8 @@ impl<const N: usize> Stretch<N> {
         s
     }
 
-    /// Gives the nearer list of each column more of the weight, up to all of it, the less is seen of what comes: so the
-    /// other need not be looked up. It goes on without a step, whatever is seen.
+    /// Shifts weight to the nearer list of each column, the more, the less of it is visible. So the other list may
+    /// need no look-up. The shift is continuous in the transmittance.
     #[inline(always)]
     pub(super) fn prefer_nearer(&mut self, transmittance: f32) {
         let bias = lesser(NEARER_SHARE / (transmittance * transmittance), MOST_NEARER);
@@ -187,11 +187,11 @@ impl<const N: usize> Stretch<N> {
 /// The row of lists at a position.
 #[inline(always)]
 fn row_of(position: f32) -> i32 {
-    // Positions are not negative but for a rounding, which is clamped with the rows.
+    // Rounding may give slightly negative positions; rows are clamped later.
     (position + 1.0) as i32 - 1
 }
 
-/// As the machine has it: without a thought for NaN.
+/// Compiles to one instruction, which ignores NaN.
 #[inline(always)]
 pub(in crate::kernels) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
@@ -206,10 +206,11 @@ pub(in crate::kernels) fn greater(a: f32, b: f32) -> f32 {
 pub(in crate::kernels) struct Columns {
     /// Step of the index.
     pub(in crate::kernels) step: i32,
-    /// The parameter of the border at pixel position x is x·slope + offset; 0 and infinite for a line that crosses none.
+    /// The line crosses the border at pixel position x at the parameter x·slope + offset; 0 and infinite for a line
+    /// that crosses none.
     pub(super) slope: f32,
     offset: f32,
-    /// 1 if the line leaves a column by its upper border.
+    /// 1 if the line leaves a column at its upper border.
     leaves_by: i32,
 }
 
@@ -223,33 +224,33 @@ impl Columns {
         Self { step: if forward { 1 } else { -1 }, slope, offset: -p * slope, leaves_by: forward.into() }
     }
 
-    /// From `column` on, how many columns there are to the border of the tile or of the frame.
+    /// Number of columns from `column` to the border of the tile or frame.
     #[inline(always)]
     pub(in crate::kernels) fn num_in_tile(&self, column: i32, size: i32) -> i32 {
         let in_tile = column & (TILE as i32 - 1);
         if self.step > 0 { (TILE as i32 - in_tile).min(size - column) } else { in_tile + 1 }
     }
 
-    /// The first column of the tile that holds position `p`, but not one before `column`, and where the line enters it.
+    /// The first column of the tile that holds position `p`, not before `column`, and where the line enters it.
     #[inline(always)]
     pub(super) fn tile_at(&self, p: f32, column: i32, size: i32) -> Option<(i32, f32)> {
         let of_tile = TILE as i32 - 1;
-        // One column back, as rounding may.
+        // Rounding may have skipped one column.
         let at = (p as i32 - self.step).clamp(0, size - 1);
         let first = if self.step > 0 { at & !of_tile } else { (at | of_tile).min(size - 1) };
         let is_ahead = (first - column) * self.step > 0 && self.slope != 0.0;
         is_ahead.then(|| (first, self.t(first - self.step, 0)))
     }
 
-    /// Where the line leaves the column `i` steps behind `column`.
+    /// The parameter at which the line leaves the column `i` steps after `column`.
     #[inline(always)]
     pub(in crate::kernels) fn t(&self, column: i32, i: i32) -> f32 {
         (column + self.leaves_by + self.step * i) as f32 * self.slope + self.offset
     }
 }
 
-/// Largest integer not above a small number, and the rest. At an integer both that one and the one below with a rest of 1
-/// are right.
+/// The largest integer not above a small number, and the rest. At an integer, the one below with a rest of 1 is right
+/// too.
 #[inline(always)]
 fn floor_and_fraction(x: f32) -> (i32, f32) {
     // Adding 1.5·2²³ rounds to the nearest integer and leaves it in the low bits.
@@ -257,15 +258,15 @@ fn floor_and_fraction(x: f32) -> (i32, f32) {
     (shifted.to_bits() as i32 - ROUNDER.to_bits() as i32, x - (shifted - ROUNDER))
 }
 
-/// What ends at the last depth of all ends behind this one, and what is filled up with it is behind all.
+/// The back of the last segment and the filling both end here, behind everything.
 const LAST_UNIT: f32 = DEPTH_UNITS - 1.0;
-/// Shortest depth interval that is divided by, in depth units: far below the rounding of a segment's ends.
+/// Shortest depth interval that is divided by, depth units: far below the rounding of a segment's ends.
 const MIN_CROSSING: f32 = 1e-2;
-/// Nearness to one of two lists that counts as none where all is seen, and at most. By transmittance to the power of −2 and
-/// with this share, DSSIM grows by .3 % at the most at 5 and 10° (the cloud's by 1 %) and casts at 30° take 3 to 10 % less time.
+/// Nearness below which a list is ignored at full visibility. It is divided by the transmittance squared. With this
+/// value, DSSIM grows by at most .3 % at 5 and 10° (the cloud's by 1 %), and casts at 30° take 3 to 10 % less time.
 const NEARER_SHARE: f32 = 0.005;
 const MOST_NEARER: f32 = 0.48;
-/// A line that moves less than this many pixels in all crosses no border worth a division.
+/// Pixels that a line must move in all to cross a border.
 const MIN_SLOPE: f32 = 1e-6;
 /// 1.5·2²³.
 pub(super) const ROUNDER: f32 = 12_582_912.0;
@@ -277,7 +278,7 @@ mod tests {
     #[test]
     fn the_nearer_list_takes_over_where_little_is_seen_and_nowhere_at_a_stroke() {
         let nearness = |fraction: f32, transmittance: f32| {
-            let mut stretch = Stretch::<1> {
+            let mut stretch = ColumnSpans::<1> {
                 num: 1,
                 lo: [0.0],
                 hi: [1.0],

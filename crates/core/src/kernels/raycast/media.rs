@@ -9,8 +9,8 @@ use crate::camera::Basis;
 use crate::layer::{LayeredFrame, key_from_slot, pack_halves};
 use crate::mode::Compositing;
 
-/// A segment as a homogeneous medium, in 16 bytes: casting waits for memory as much as it computes. In a projection it has
-/// the same fields with other numbers, see [`super::projected`].
+/// A segment as a homogeneous medium, in 16 bytes: memory limits casting as much as arithmetic does. A projection
+/// stores other numbers in the same fields, see [`super::projected`].
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(16))]
 pub(in crate::kernels) struct Medium {
@@ -31,13 +31,13 @@ impl Medium {
         (self.depth >> 16) as i32 as f32
     }
 
-    /// E and 1.
+    /// The source colour and 1.
     pub(in crate::kernels) fn e(&self) -> Vec4 {
         unpacked(self.e)
     }
 }
 
-/// Four half floats, not negative.
+/// Unpacks four half floats, which are not negative.
 #[inline(always)]
 pub(super) fn unpacked(halves: [u16; 4]) -> Vec4 {
     Vec4::from_array(halves.map(|h| f32::from_bits(u32::from(h) << 13))) * HALF_SCALE
@@ -49,7 +49,7 @@ pub(super) fn list_cells(lo: u16, hi: u16) -> u64 {
     (u64::MAX << (lo >> 10)) & (u64::MAX >> (63 - (hi >> 10)))
 }
 
-/// The backs of all lists and their segments, row by row in parallel.
+/// Unpacks the backs and segments of all lists, row by row in parallel.
 pub(super) fn unpack(
     frame: &LayeredFrame,
     basis: &Basis,
@@ -61,7 +61,7 @@ pub(super) fn unpack(
     let num_lists = frame.offsets.len() - 1;
     let mut backs = vec![u16::MAX; num_lists * row_length];
     let mut occupied = vec![0; num_lists];
-    // One more: the index behind the last is read.
+    // The index behind the last segment is read too.
     let mut media = vec![Medium::default(); frame.num_segments() + 1];
     let mut rest_of_media = &mut media[..];
     let mut rest_of_backs = &mut backs[..];
@@ -111,5 +111,5 @@ pub(super) fn unpack(
     (backs, occupied, media)
 }
 
-/// From the bits of a half float, moved to where a float has them, to its value: 2¹¹².
+/// Scales a half float's bits, moved to their place in a float, to its value: 2¹¹².
 const HALF_SCALE: f32 = f32::from_bits((254 - 15) << 23);

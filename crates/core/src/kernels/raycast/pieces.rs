@@ -1,25 +1,25 @@
-//! Compositing crossed parts of segments.
+//! Composites the crossed parts of segments.
 
 use glam::Vec4;
 
 use super::line::{ROUNDER, greater, lesser};
 use super::media::{Medium, unpacked};
 
-/// Crossed parts of segments, in the order of the ray: what is worked on at a time.
+/// A batch of crossed parts of segments, in the order of the ray.
 pub(super) struct Pieces {
     pub(super) num: usize,
     /// Optical depth.
     pub(super) tau: [f32; MAX_PIECES],
-    pub(super) rest: [Piece; MAX_PIECES],
+    pub(super) rest: [CrossedPiece; MAX_PIECES],
 }
 
 #[derive(Clone, Copy, Default)]
-pub(super) struct Piece {
+pub(super) struct CrossedPiece {
     /// Nearness of the list.
     pub(super) weight: f32,
-    /// 1 for the first piece of a column, else 0.
+    /// 1 for the first piece of a column, or else 0.
     pub(super) starts_column: f32,
-    /// 1 for a piece behind another one of the same list, else 0.
+    /// 1 for a piece behind another one of the same list, or else 0.
     pub(super) continues_list: f32,
     /// See [`super::Medium`].
     pub(super) e: [u16; 4],
@@ -30,9 +30,9 @@ pub(super) struct Crossing {
     /// Least and greatest depth, in units.
     pub(super) lo: f32,
     pub(super) hi: f32,
-    /// World length of the ray for each unit of depth.
+    /// World length of the ray per unit of depth.
     pub(super) length_per_unit: f32,
-    /// See [`Piece`].
+    /// See [`CrossedPiece`].
     pub(super) weight: f32,
     pub(super) starts_column: f32,
     pub(super) continues_list: f32,
@@ -40,10 +40,10 @@ pub(super) struct Crossing {
 
 impl Pieces {
     pub(super) fn new() -> Self {
-        Self { num: 0, tau: [0.0; MAX_PIECES], rest: [Piece::default(); MAX_PIECES] }
+        Self { num: 0, tau: [0.0; MAX_PIECES], rest: [CrossedPiece::default(); MAX_PIECES] }
     }
 
-    /// Takes the next piece of a crossing if it has a length and `is_of_list`. What there is no room for goes to `sum`.
+    /// Takes the next piece of a crossing if it has a length and `is_of_list`. A full batch first goes to `sum`.
     #[inline(always)]
     pub(super) fn push(&mut self, sum: &mut Sum, crossing: &mut Crossing, medium: &Medium, is_of_list: bool) {
         if self.num == MAX_PIECES {
@@ -53,7 +53,7 @@ impl Pieces {
         let is_crossed = (overlap > 0.0) & is_of_list;
         let at = self.num % MAX_PIECES;
         self.tau[at] = medium.sigma * (overlap * crossing.length_per_unit);
-        self.rest[at] = Piece {
+        self.rest[at] = CrossedPiece {
             weight: crossing.weight,
             starts_column: crossing.starts_column,
             continues_list: crossing.continues_list,
@@ -65,12 +65,12 @@ impl Pieces {
     }
 }
 
-/// What is seen along a ray, up to some piece of a column.
+/// What a ray has collected, up to some piece of a column.
 pub(super) struct Sum {
     pub(super) color: Vec4,
-    /// In front of the column.
+    /// Sum in front of the column.
     before: f32,
-    /// Opacity of the column, lists mixed.
+    /// Opacity of the column, mixed over its lists.
     mixed: f32,
     /// Transmittance of the list.
     of_list: f32,
@@ -83,8 +83,8 @@ impl Default for Sum {
 }
 
 impl Sum {
-    /// Puts the pieces behind what is there, and forgets them. Factors of 0 and 1 instead of branches, which a
-    /// processor would guess wrong.
+    /// Composites the pieces behind the sum and clears them. Factors of 0 and 1 replace branches, which a processor
+    /// would mispredict.
     #[inline(always)]
     pub(super) fn add(&mut self, pieces: &mut Pieces) {
         let num = std::mem::take(&mut pieces.num);
@@ -116,7 +116,7 @@ pub fn opacity(tau: f32) -> f32 {
     (1.0 - scale) - scale * p
 }
 
-/// Transmittance e^−τ, to single precision relative to itself; constant from 2^−126 on.
+/// Transmittance e^−τ, relative to itself to single precision; constant beyond τ of 126·ln 2.
 #[inline(always)]
 pub(crate) fn transmittance(tau: f32) -> f32 {
     let (scale, p) = scale_and_rest(tau);
@@ -137,7 +137,7 @@ fn scale_and_rest(tau: f32) -> (f32, f32) {
     (f32::from_bits(ONE_BITS.wrapping_sub(shifted.to_bits() << 23)), p)
 }
 
-/// Pieces that are worked on at a time: more than there usually are in a tile's columns.
+/// Pieces in a batch: more than a tile's columns usually have.
 pub(super) const MAX_PIECES: usize = 64;
 const ONE_BITS: u32 = 0x3f80_0000;
 /// (ln 2)^i/i!.

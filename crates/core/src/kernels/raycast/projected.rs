@@ -10,16 +10,17 @@
 
 use glam::Vec4;
 
-use super::line::{Columns, Line, Stretch, greater, lesser};
+use super::line::{ColumnSpans, Columns, PixelSpan, greater, lesser};
 use super::{CastOptions, LANES, MIN_NEARNESS, Raycaster, Reconstruction};
 use crate::layer::{Over, Projected};
 use crate::mode::Compositing;
 use crate::space::{Aabb, Ray};
 
-/// Ways of rays through the volume's box: all of it, as a frame does not say what of the volume it was made of.
+/// Path lengths of rays through the volume's box. They cover the whole box, because a frame does not say how the
+/// volume was clipped.
 pub(super) struct Way {
     bounds: Aabb,
-    /// Parts that a way as long as the box's diagonal has, for each unit of length.
+    /// Parts per unit of length; the box's diagonal has [`PARTS`].
     parts_per_length: f32,
     least: f32,
 }
@@ -39,7 +40,7 @@ impl Way {
 
 impl Raycaster {
     /// What a line collects.
-    pub(super) fn project_line(&self, line: &Line, options: &CastOptions) -> Projected {
+    pub(super) fn project_line(&self, line: &PixelSpan, options: &CastOptions) -> Projected {
         match options.reconstruction {
             Reconstruction::Mixed => self.project::<LANES>(line, options),
             Reconstruction::Nearest => self.project::<{ 2 * LANES }>(line, options),
@@ -57,15 +58,15 @@ impl Raycaster {
             .map_or_else(Projected::default, |line| self.project_line(&line, options))
     }
 
-    /// What of that is shown of the ray.
+    /// The colour that a ray shows for what it collected.
     pub(in crate::kernels) fn shown(&self, collected: &Projected, ray: &Ray) -> Over {
         let way = if self.compositing == Compositing::Mean { self.way.parts(ray) } else { 1.0 };
         let c = collected.c / way;
         Over { c, transmittance: 1.0 - c.max_element().min(1.0) }
     }
 
-    /// Walks the columns of lists along the line as the cast of other frames does.
-    fn project<const N: usize>(&self, line: &Line, options: &CastOptions) -> Projected {
+    /// Walks the columns of lists along the line, as the cast of other frames does.
+    fn project<const N: usize>(&self, line: &PixelSpan, options: &CastOptions) -> Projected {
         let along = usize::from(line.d[0].abs() + super::AXIS_BIAS < line.d[1].abs());
         let across = 1 - along;
         let (size_along, size_across) = (self.size[along], self.size[across]);
@@ -87,7 +88,7 @@ impl Raycaster {
             if !options.skips_empty_space
                 || self.is_occupied(column, rows, [enter.0, leave.0], along, size_across)
             {
-                let stretch = Stretch::<N>::new(self, line, &columns, column, (t_in, t_out), across);
+                let stretch = ColumnSpans::<N>::new(self, line, &columns, column, (t_in, t_out), across);
                 for i in 0..stretch.num {
                     let column = column + columns.step * (i * LANES / N) as i32;
                     let nearness = [1.0 - stretch.fraction[i], stretch.fraction[i]];
@@ -114,7 +115,7 @@ impl Raycaster {
         collected
     }
 
-    /// Colour and key of a list between two depths, `length_per_unit` of depth long in the world.
+    /// Colour and key of a list between two depths; `length_per_unit` is the world length per unit of depth.
     fn project_list(&self, column: i32, row: i32, along: usize, crossing: [f32; 3]) -> Vec4 {
         let [lo, hi, length_per_unit] = crossing;
         let media = self.list(column, row, along);
@@ -134,10 +135,10 @@ impl Raycaster {
     }
 }
 
-/// Parts of the longest way: so many that those of the shortest are no subnormal half floats.
+/// Parts of the longest path: enough that the shortest is no subnormal half float.
 const PARTS: f32 = 1024.0;
-/// Shortest way that is divided by, in diagonals: near the edges of the box a list's own way may be many times that of a ray
-/// beside it.
+/// Shortest path that is divided by, in diagonals: near the edges of the box, a list's path may be many times that of
+/// a ray beside it.
 const LEAST_WAY: f32 = 0.0078125;
-/// Nothing has a greater key, but for its rounding to a half float.
+/// No key is greater, apart from rounding to a half float.
 const KEY_FULL: f32 = 0.9995;

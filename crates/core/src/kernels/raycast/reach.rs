@@ -1,5 +1,5 @@
-//! Where the rays of a picture can meet anything: the cells that are not empty, drawn into coarse blocks of the picture
-//! as intervals of its view depth. A ray starts and ends its walk there, and one without any is not cast.
+//! Where the rays of a picture can meet anything. Occupied cells are drawn into coarse blocks of the picture as
+//! intervals of view depth. A ray walks only within its block's interval, and is not cast if that is empty.
 
 use glam::{Vec3, Vec4};
 
@@ -7,14 +7,14 @@ use super::Raycaster;
 use crate::camera::Basis;
 use crate::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, TILE};
 
-/// Intervals of view depth, one a block of [`SIDE`]×[`SIDE`] pixels.
+/// Intervals of view depth, one per block of [`SIDE`]×[`SIDE`] pixels.
 pub(super) struct Reach {
     blocks_x: usize,
-    /// Least and greatest; the first is the greater where there is nothing.
+    /// Least and greatest depth; the first is the greater where there is nothing.
     intervals: Vec<[f32; 2]>,
 }
 
-/// What something covers of a picture: an interval of pixels along x and y, and of view depth.
+/// What something covers in a picture: intervals of pixels along x and y, and of view depth.
 #[derive(Clone, Copy)]
 struct Cover {
     x: [f32; 2],
@@ -31,14 +31,14 @@ fn grown([a, b]: [f32; 2], by: [f32; 2]) -> [f32; 2] {
 impl Cover {
     const NONE: Self = Self { x: NOTHING, y: NOTHING, depth: NOTHING };
 
-    /// A corner, by its homogeneous pixel coordinates and view depth.
+    /// Covers one corner, from its homogeneous pixel coordinates and view depth.
     fn of(corner: Vec4) -> Self {
         let [x, y, z, depth] = corner.to_array();
-        // Nearer to the plane of the eye, rounding would choose the side.
+        // So near the plane of the eye, rounding would choose the side.
         if z > FARTHEST_PIXEL.recip() * (x.abs() + y.abs()) {
             Self { x: [x / z; 2], y: [y / z; 2], depth: [depth; 2] }
         } else {
-            // Beside or behind the eye: what it is a corner of may be seen anywhere.
+            // The corner is beside or behind the eye, so its cell may appear anywhere.
             let anywhere = [f32::NEG_INFINITY, f32::INFINITY];
             Self { x: anywhere, y: anywhere, depth: [depth; 2] }
         }
@@ -50,7 +50,7 @@ impl Cover {
 }
 
 impl Reach {
-    /// Of what `caster` holds, in the picture of a view.
+    /// Draws what `caster` holds into the picture of a view.
     pub(super) fn new(caster: &Raycaster, view: &Basis) -> Self {
         let [blocks_x, blocks_y] = [view.width, view.height].map(|n| (n as usize).div_ceil(SIDE));
         let mut reach = Self { blocks_x, intervals: vec![NOTHING; blocks_x * blocks_y] };
@@ -101,7 +101,7 @@ impl Reach {
         }
     }
 
-    /// Between which view depths a pixel's ray may meet something.
+    /// View depths between which a pixel's ray may meet something.
     pub(super) fn at(&self, x: usize, y: usize) -> [f32; 2] {
         self.intervals[y / SIDE * self.blocks_x + x / SIDE]
     }
@@ -111,8 +111,8 @@ impl Reach {
 const SIDE: usize = 8;
 /// Lists by which a tile reaches beyond itself: a half, and a half to spare.
 const MARGIN: f32 = 1.0;
-/// Far above what single precision moves a corner by.
+/// Far more pixels than single precision can move a corner.
 const ROUNDING_PIXELS: f32 = 0.05;
 const ROUNDING: f32 = 1e-4;
-/// Corners this far from the picture are taken to be beside the eye, pixels.
+/// Corners this far from the picture count as beside the eye, pixels.
 const FARTHEST_PIXEL: f32 = 1e5;

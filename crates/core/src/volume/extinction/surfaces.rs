@@ -1,10 +1,9 @@
-//! What holds up light where only surfaces are shown.
+//! What attenuates light where only surfaces are shown.
 //!
-//! An opaque surface is that of a body: what lies on its other side as seen from around the volume is as opaque as it is
-//! large. So a surface's own side has its light, and a body's thickness does not matter. That is the side of the greater
-//! values, or of the lesser ones where most of the faces of what is shown lie among the greater ones. A translucent surface is
-//! a sheet: a line that crosses it straight has its optical depth to pass, one that crosses it askew as much more as through
-//! a layer of matter.
+//! An opaque surface bounds a body, which is opaque throughout. So the surface is lit from its own side, and a body's
+//! thickness does not matter. Bodies have the greater values, or the lesser ones if most of the visible volume's
+//! faces lie among the greater ones. A translucent surface is a sheet. A line that crosses it at a right angle passes
+//! its optical depth; an oblique one passes more, as through a layer of matter.
 
 use rayon::prelude::*;
 
@@ -12,24 +11,24 @@ use super::Extinction;
 use crate::clip::Region;
 use crate::volume::grid::{Volume, Voxels};
 
-/// A surface as light meets it.
+/// A surface for lighting.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sheet {
-    /// The stored number that it passes through.
+    /// Its stored number.
     pub stored: f32,
     /// Optical depth of a crossing.
     pub tau: f32,
-    /// Whether it hides what is behind it, so that this may be full.
+    /// Whether it hides what is behind it, so that a body may fill that.
     pub is_opaque: bool,
 }
 
-/// Whether the bodies of opaque sheets lie among the lesser stored numbers, where `region` of the volume is shown; none
-/// without such a sheet.
+/// Whether bodies of opaque sheets have the lesser stored numbers, in the visible `region`; `None` without such a
+/// sheet.
 pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, region: &Region) -> Option<bool> {
     Some(!Body::of(sheets, volume, region)?.is_greater)
 }
 
-/// A stored number, and on which side of it bodies lie.
+/// A stored number, and the side of it that bodies have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Body {
     stored: f32,
@@ -46,7 +45,7 @@ impl Body {
         Some(Self { stored: if is_greater { lowest } else { highest }, is_greater })
     }
 
-    /// The share of a voxel that is full: the mean over the ways half to its neighbours, along which numbers are linear.
+    /// The filled fraction of a voxel: the mean over half the ways to its neighbours, with linear numbers between.
     #[inline(always)]
     fn share(self, here: f32, around: [f32; 6]) -> f32 {
         let is_full = |v: f32| (v >= self.stored) == self.is_greater;
@@ -62,7 +61,7 @@ impl Body {
             } else if hi < self.stored {
                 0.0
             } else {
-                // Not clamped: `lo` and `hi` are on both sides.
+                // No clamp: `lo` and `hi` are on both sides.
                 (hi - self.stored) / (hi - lo)
             }
         });
@@ -71,19 +70,19 @@ impl Body {
     }
 }
 
-/// The share of the faces of what is left of a volume where stored numbers are at or above one, by at most [`FACE_SAMPLES`]
-/// voxels a side of a face: no more than a draft can wait for. Of a voxel the centre tells whether it is left.
+/// The fraction of the visible region's faces where stored numbers are at least `stored`. At most [`FACE_SAMPLES`]
+/// voxels per side of a face count, which is fast enough for a draft. A voxel is visible if its centre is.
 fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
     let (last, spacing, first) = (volume.dims().map(|d| d as i32 - 1), volume.spacing(), volume.bounds().min);
-    // The centre of a voxel is at its own number.
+    // The centre of voxel i is at i.
     let in_voxels = |axis: usize, world: f32| (world - first[axis]) / spacing[axis] - 0.5;
     let range = [0, 1, 2].map(|axis| {
-        // A face between voxels is that of the voxel inside.
+        // A face between voxels belongs to the voxel inside.
         let lo = (in_voxels(axis, region.bounds.min[axis]).ceil() as i32).clamp(0, last[axis]);
         let hi = (in_voxels(axis, region.bounds.max[axis]).floor() as i32).clamp(lo, last[axis]);
         (lo, hi)
     });
-    // How far a plane lies below the voxels of a row along `axis`, as a product with its normal.
+    // How far a plane lies below the voxels of a row along `axis`, times the normal's component.
     let distance =
         |axis: usize, n: i32| region.normal[axis] * (first[axis] + (n as f32 + 0.5) * spacing[axis]);
     let facing = (0..3).max_by(|&a, &b| region.normal[a].abs().total_cmp(&region.normal[b].abs()));
@@ -109,7 +108,7 @@ fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
                     }
                 }
                 if facing == Some(axis) {
-                    // The plane's own face, larger than the area across that it covers.
+                    // The plane's own face is larger than the area that it covers across.
                     let slope = region.normal[axis];
                     let place = in_voxels(axis, -beside / slope);
                     let (n, is_inside) = match slope > 0.0 {
@@ -122,7 +121,7 @@ fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
                 }
             }
         }
-        // Of each that is looked at.
+        // The area of each sampled voxel.
         let area = [a, b].map(|axis| {
             let (lo, hi) = range[axis];
             f64::from(spacing[axis] / spacing.max_element()) * f64::from(hi - lo + 1)
@@ -131,19 +130,19 @@ fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
         above += area[0] * area[1] * num_above;
         all += area[0] * area[1] * num;
     }
-    // Nothing is left where all is cut away.
+    // Nothing is visible if everything is cut away.
     if all > 0.0 { (above / all) as f32 } else { 0.0 }
 }
 
-/// Voxels between two, both taken in, at equal distances and from their middle.
+/// Evenly spaced voxels between two, inclusive, around their middle.
 fn sampled((lo, hi): (i32, i32)) -> impl Iterator<Item = i32> {
     let apart = (hi - lo) / FACE_SAMPLES + 1;
     (lo + (apart - 1) / 2..=hi).step_by(apart as usize)
 }
 
 impl Extinction {
-    /// Fills the bodies and adds the sheets; `step` as in [`Extinction::of`]. Of `region` it takes no more than on which side
-    /// the bodies lie: nothing is cut away yet.
+    /// Fills the bodies and adds the sheets; `step` as in [`Extinction::of`]. `region` only decides which side the
+    /// bodies have: nothing is cut yet.
     pub(super) fn fill_surfaces(
         &mut self,
         volume: &Volume,
@@ -173,8 +172,8 @@ impl Extinction {
         let side = self.voxels;
         let taken = |axis: usize| side[axis].div_ceil(step[axis]) as f32;
         let share = (taken(0) * taken(1) * taken(2)).recip();
-        // A sheet straight across an axis has one crossing in each column of voxels that are looked at: so much of optical
-        // depth for each unit of length, taken over the cell.
+        // A sheet straight across an axis has one crossing per sampled column of voxels. This is its optical depth
+        // per unit of length, spread over the cell.
         let apart = volume.spacing() * glam::Vec3::from_array(step.map(|n| n as f32));
         let per_crossing = apart.recip() * share;
         let length = self.cell.to_array().iter().product::<f32>().cbrt();
@@ -208,16 +207,16 @@ impl Extinction {
                 }
             }
             for (sigma, full) in slice.iter_mut().zip(full) {
-                // A cell that is full in part hides so much of what is behind it.
+                // A partly full cell hides that share of what is behind it.
                 *sigma += -(1.0 - full).max(FULL_TRANSMITTANCE).ln() / length;
             }
         });
     }
 }
 
-/// Which side most of a face lies on is told by so many rows of so many voxels.
+/// Rows and columns of samples on a face.
 const FACE_SAMPLES: i32 = 128;
-/// What comes through a full cell.
+/// Transmittance of a full cell.
 const FULL_TRANSMITTANCE: f32 = 1e-6;
 
 #[cfg(test)]

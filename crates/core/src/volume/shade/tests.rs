@@ -153,7 +153,7 @@ fn a_plate_throws_a_shadow_where_the_light_says_and_as_soft_as_the_light_is_wide
 }
 
 /// Transmittance along one line in small steps, with extinction mixed of eight cells.
-fn marched(extinction: &Extinction, cell: [usize; 3], towards: Vec3, stretch: Stretch) -> f32 {
+fn marched(extinction: &Extinction, cell: [usize; 3], towards: Vec3, stretch: ShadingInterval) -> f32 {
     let [near, far] = stretch.in_direction(extinction, towards);
     let start = Vec3::from_array(cell.map(|i| i as f32));
     let sigma = |p: Vec3| {
@@ -188,7 +188,7 @@ fn sweeps_find_what_lines_find_that_are_followed_one_by_one() {
         0.12 * (1.0 + wave(x, 0.5) * wave(y, 0.4) + 0.5 * wave(z, 0.7)).max(0.0)
     });
     for far in [f32::INFINITY, 6.0] {
-        let stretch = Stretch { near_in_cells: NEAR_IN_CELLS, far };
+        let stretch = ShadingInterval { near_in_cells: NEAR_IN_CELLS, far };
         let mut worst = 0f32;
         let mut other = 0f32;
         for i in 0..14 {

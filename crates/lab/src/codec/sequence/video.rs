@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 
 use super::{CodedSequence, Coder};
-use crate::codec::av1::{Av1, Kind, Picture, QUANTIZERS, Stream};
+use crate::codec::av1::{Av1, Av1Stream, Kind, Picture, QUANTIZERS};
 use crate::codec::contenders::{AVIF_SPEED, ladder};
 use crate::codec::layout::{Layout, Part};
 use crate::codec::raster::{ImageCodec, Raster};
@@ -16,7 +16,7 @@ pub(super) struct Video {
     codec: Av1,
     at: [usize; 3],
     /// By part and plane.
-    streams: [Vec<Stream>; 3],
+    streams: [Vec<Av1Stream>; 3],
     /// Planes of kept frames, by frame.
     planes: BTreeMap<u32, Kept>,
     bytes: Vec<usize>,
@@ -68,7 +68,7 @@ impl Coder for Video {
             let (divisor, level) = ladder(Layout::Weighted, part, QUANTIZERS.len(), false)[self.at[p]];
             let rasters = Layout::Weighted.split(frame, part, self.codec.max_bits(), divisor);
             if self.streams[p].is_empty() {
-                let open = |r| Stream::new(r, AVIF_SPEED, QUANTIZERS[level], Kind::Sequence);
+                let open = |r| Av1Stream::new(r, AVIF_SPEED, QUANTIZERS[level], Kind::Sequence);
                 self.streams[p] = rasters.iter().map(open).collect::<Result<_, _>>()?;
             }
             if is_kept {

@@ -1,0 +1,135 @@
+#!/usr/bin/env bash
+# Makes all pictures of the window in docs/ anew.
+#
+#   docs/pictures.sh VOLUMES [ISINGLASS] [NAME…]
+#
+# VOLUMES is a folder with avm.nrrd, bonsai.nrrd, heptane.nrrd, mouse_brain.nrrd, and tooth.nhdr with tooth.raw.
+# docs/BENCHMARKS.md and docs/GUIDE.md name their origins. ISINGLASS is the program; without it a release build is made.
+# NAMEs, such as viewer or guide-mip, select pictures. The script needs Xvfb, xdotool, xwd and ImageMagick.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+[ $# -ge 1 ] || { sed -n '2,8p' "$0"; exit 2; }
+volumes=$(realpath "$1")
+program=${2:-}
+chosen=" ${*:3} "
+if [ -z "$program" ]; then
+    cargo build --release
+    program=target/release/isinglass
+fi
+program=$(realpath "$program")
+
+# A home of its own: the start window shows its files, and no settings of the developer count.
+home=/tmp/me
+mkdir "$home"
+jobs_to_end=()
+trap 'kill "${jobs_to_end[@]}" 2>/dev/null || true; rm -rf "$home"' EXIT
+export HOME=$home XDG_RUNTIME_DIR=$home XDG_STATE_HOME=$home/state XDG_CONFIG_HOME=$home/config
+mkfifo "$home/display"
+exec 3<>"$home/display"
+mkdir "$home/scans"
+for name in avm.nrrd bonsai.nrrd heptane.nrrd mouse_brain.nrrd tooth.nhdr tooth.raw; do
+    cp "$(find "$volumes" -name "$name" | head -n 1)" "$home/scans/"
+done
+
+# The bonsai upright, from aside and a little above; without the table that the scanner saw below it.
+cat >"$home/bonsai.toml" <<'STATE'
+isinglass_state = 1
+[camera]
+center = [0.0, 0.0, -8.0]
+rotation = [-0.15933, 0.57523, 0.77321, -0.21417]
+eye_from_center = [-30.0, 0.0, 400.0]
+fov_degrees = 40.0
+size = [1100, 760]
+STATE
+bonsai=(bonsai.nrrd --state "$home/bonsai.toml" --clip-box=-88,88,-128,120,-104,128 --ambient-occlusion 0.5 --shadows 0.4)
+
+# open WxH ARGUMENTS…: a display of that size with the program's window.
+open() {
+    local size=$1
+    shift
+    Xvfb -displayfd 3 -screen 0 "${size}x24" >/dev/null 2>&1 &
+    jobs_to_end+=($!)
+    read -r number <&3
+    export DISPLAY=:$number
+    (cd "$home/scans" && exec "$program" "$@") >"$home/log" 2>&1 &
+    jobs_to_end+=($!)
+}
+
+# Ends the program and its display.
+close() {
+    kill "${jobs_to_end[@]}"
+    wait "${jobs_to_end[@]}" 2>/dev/null || true
+    jobs_to_end=()
+}
+
+# Waits until the lower right of the picture has not changed for 20 seconds, and is not black.
+settle() {
+    local before="" now same=0
+    for _ in $(seq 150); do
+        sleep 2
+        kill -0 "${jobs_to_end[1]}" || { cat "$home/log"; exit 1; }
+        now=$(import -window root -gravity southeast -crop 70x50%+0+0 rgb:- | md5sum)
+        if [ "$now" = "$before" ]; then same=$((same + 1)); else same=0; fi
+        before=$now
+        if [ $same -ge 10 ] && [ "$(import -window root -format '%k' info:)" -gt 64 ]; then return; fi
+    done
+    echo "the picture never came to rest" >&2
+    exit 1
+}
+
+# picture NAME KEY ARGUMENTS…: the window at rest, after KEY was pressed.
+picture() {
+    local name=$1 key=$2
+    shift 2
+    [[ $chosen == "  " || $chosen == *" $name "* ]] || return 0
+    open 1100x760 "$@"
+    settle
+    if [ -n "$key" ]; then
+        xdotool mousemove 500 600 search --onlyvisible --name isinglass windowfocus key "$key"
+        settle
+    fi
+    import -window root -depth 8 -strip "docs/$name.png"
+    close
+    echo "docs/$name.png"
+}
+
+# moving NAME ARGUMENTS…: a drag to both sides and back, in real time, until the first picture is there again.
+moving() {
+    local name=$1
+    shift
+    [[ $chosen == "  " || $chosen == *" $name.webp "* ]] || return 0
+    open 640x420 "$@"
+    settle
+    xwd -root -silent -out "$home/still.xwd"
+    xdotool mousemove 320 210 mousedown 1
+    (
+        for x in $(seq 320 3 500) $(seq 500 -3 200) $(seq 200 3 320); do
+            xdotool mousemove "$x" $((210 + (x - 320) / 8))
+            sleep 0.03
+        done
+        xdotool mouseup 1
+    ) &
+    local drag=$! shots=() times=() i=0 same=0
+    while [ $same -lt 20 ] && [ $i -lt 200 ]; do
+        xwd -root -silent -out "$home/$i.xwd"
+        times+=("$(date +%s%3N)")
+        if kill -0 $drag 2>/dev/null || ! cmp -s "$home/$i.xwd" "$home/still.xwd"; then same=0; else same=$((same + 1)); fi
+        i=$((i + 1))
+        sleep 0.06
+    done
+    for ((n = 0; n + 1 < i; n++)); do
+        shots+=(-delay $(((times[n + 1] - times[n]) / 10)) "xwd:$home/$n.xwd")
+    done
+    convert -loop 0 "${shots[@]}" -quality 75 -define webp:method=6 "docs/$name.webp"
+    close
+    echo "docs/$name.webp"
+}
+
+picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
+moving viewer demo "${bonsai[@]}" --rtt 200ms --overlay off --size 640x420
+picture guide-start "" view
+picture guide-editor l demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
+picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2
+picture guide-iso "" demo tooth.nhdr --rtt 50ms --mode iso --iso 600:0.4,1000 --orbit 30,-50,2.8
+picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7
+picture guide-clip c demo mouse_brain.nrrd --rtt 50ms --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20
