@@ -77,17 +77,26 @@ fn views(bounds: &Aabb) -> Vec<(&'static str, Camera, Clip)> {
     };
     let inner = Aabb { min: bounds.min * 0.55, max: bounds.max * 0.3 };
     let plane = Plane::new(Vec3::new(0.3, 1.0, 0.6), 0.05 * bounds.radius());
-    let clip = Clip { bounds: Some(inner), plane };
-    vec![
+    let mut views = vec![
         ("whole", at(0.5, far), Clip::default()),
         ("from the other side", at(2.4, far), Clip::default()),
         ("near", at(2.0, 1.3 * bounds.radius()), Clip::default()),
         ("inside", at(4.0, 0.25 * bounds.radius()), Clip::default()),
         ("parallel", at(0.3, far).to_orthographic(far, bounds), Clip::default()),
         ("parallel, from inside", at(4.0, 0.25 * far).to_orthographic(0.25 * far, bounds), Clip::default()),
-        ("clipped", at(0.5, far), clip),
-        ("clipped, parallel", at(0.5, far).to_orthographic(far, bounds), clip),
-    ]
+    ];
+    let box_and_plane = Clip { bounds: Some(inner), plane };
+    let a_box = Clip { plane: None, ..box_and_plane };
+    let a_plane = Clip { bounds: None, ..box_and_plane };
+    for (of_perspective, of_parallel, clip) in [
+        ("in a box", "in a box, parallel", a_box),
+        ("cut by a plane", "cut by a plane, parallel", a_plane),
+        ("in a box, cut by a plane", "in a box, cut by a plane, parallel", box_and_plane),
+    ] {
+        views.push((of_perspective, at(0.5, far), clip));
+        views.push((of_parallel, at(0.5, far).to_orthographic(far, bounds), clip));
+    }
+    views
 }
 
 /// Bubbles over a ramp. Matter reaches all faces of the volume, and rays leave some of it just before they leave the box.
@@ -179,7 +188,13 @@ fn check(case: &Case, backend: &Backend) {
     let options = CastOptions { clip: scene.settings.clip, ..CastOptions::default() };
     let mut renderer = backend.renderer(scene.clone()).unwrap();
     let truth = renderer.render(&camera).unwrap();
-    // A tenth of the volume to the side, where its size is on the screen.
+    if scene.settings.clip != Clip::default() {
+        let whole = MarchSettings { clip: Clip::default(), ..scene.settings };
+        let mut whole = backend.renderer(Scene { settings: whole, ..scene.clone() }).unwrap();
+        let whole = max_difference(&whole.render(&camera).unwrap(), &truth);
+        assert!(whole > 4 * MOST, "{what}: nothing is cut away, {whole}");
+    }
+    // A tenth of the volume's radius to the side.
     let mut beside = camera;
     beside.pose.eye += camera.pose.world_from_view * Vec3::X * 0.1 * bounds.radius();
     for k in ks {
