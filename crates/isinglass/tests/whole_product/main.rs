@@ -146,7 +146,7 @@ fn drag(viewer: &mut Viewer, screen: &Screen, window: u32, first: &Pose) -> Drag
         let after = *viewer.refreshes().last().unwrap();
         // The pictures that count are those of which the server's own is not there yet.
         let is_behind =
-            |frame: Option<Pose>| degrees_between(&frame.unwrap(), &newest.camera) > BEHIND_DEGREES;
+            |frame: Option<Pose>| BEHIND_DEGREES.contains(&degrees_between(&frame.unwrap(), &newest.camera));
         if is_behind(newest.frame) && is_behind(after.frame) {
             drag.seen.push(Seen { shot, camera: newest.camera, frame: newest.frame.unwrap() });
         }
