@@ -5,36 +5,48 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// Who may use whom, among our own crates.
-const ARROWS: [(&str, &[&str]); 11] = [
-    ("isinglass-core", &[]),
-    ("isinglass-formats", &["core"]),
-    ("isinglass-gpu", &["core"]),
-    ("isinglass-render", &["core", "gpu"]),
-    ("isinglass-net", &["core"]),
-    ("isinglass-server", &["core", "formats", "gpu", "render", "net"]),
-    ("isinglass-client", &["core", "formats", "gpu", "net"]),
-    ("isinglass-bench", &["core", "formats", "gpu", "render", "net", "server", "client"]),
-    ("isinglass-lab", &["core", "formats", "gpu", "render", "net", "server", "client", "bench"]),
-    ("isinglass", &["core", "formats", "gpu", "render", "net", "server", "client", "bench"]),
-    ("isinglass-tests", &["core", "formats", "gpu", "render", "net", "server", "client", "bench"]),
-];
+/// A row of the page's table of crates.
+struct Row {
+    /// Without the prefix of ours.
+    name: String,
+    /// Our crates that it uses.
+    arrows: BTreeSet<String>,
+    /// Crates of the outside world that it may use, and no crate of another row.
+    worlds: BTreeSet<String>,
+}
 
-/// Crates of the outside world, and who may name them.
-const WORLDS: [(&str, &[&str]); 12] = [
-    ("wgpu", &["isinglass-gpu", "isinglass-client", "isinglass-tests"]),
-    ("quinn", &["isinglass-net"]),
-    ("rustls", &["isinglass-net"]),
-    ("rcgen", &["isinglass-net"]),
-    ("eframe", &["isinglass-client"]),
-    ("egui", &["isinglass-client", "isinglass-tests"]),
-    ("winit", &["isinglass-client"]),
-    ("flate2", &["isinglass-formats"]),
-    ("toml", &["isinglass-formats"]),
-    ("clap", &["isinglass", "isinglass-lab"]),
-    ("openjpeg-sys", &["isinglass-lab"]),
-    ("rav1e", &["isinglass-lab"]),
-];
+fn page() -> String {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ARCHITECTURE.md");
+    std::fs::read_to_string(path).expect("the page")
+}
+
+/// The table of a text. The crate of these tests uses all that the others use, but for the lab and the binary.
+fn plan(page: &str) -> Vec<Row> {
+    let table = page.split_once("## Crates and arrows").expect("the section").1;
+    let lines = table.lines().skip_while(|line| !line.starts_with("|---")).skip(1);
+    let cells =
+        lines.take_while(|line| line.starts_with('|')).map(|line| line.split('|').collect::<Vec<_>>());
+    let code =
+        |cell: &str| -> BTreeSet<String> { cell.split('`').skip(1).step_by(2).map(str::to_owned).collect() };
+    let rows: Vec<_> =
+        cells.map(|cells| (code(cells[1]), code(cells[4]), cells[5].trim().to_owned())).collect();
+    let names: BTreeSet<String> = rows.iter().flat_map(|(name, ..)| name.clone()).collect();
+    let mut plan: Vec<Row> = Vec::new();
+    for (name, worlds, arrows) in rows {
+        let name = name.into_iter().next().expect("the row of a crate");
+        let others = || names.iter().filter(|other| **other != name);
+        let arrows = match arrows.strip_prefix("all of them but ") {
+            Some(but) => others().filter(|other| *other != but).cloned().collect(),
+            None if arrows == "nothing of ours" => BTreeSet::new(),
+            None => arrows.split_whitespace().map(str::to_owned).collect(),
+        };
+        plan.push(Row { name, arrows, worlds });
+    }
+    let arrows = names.into_iter().filter(|name| name != "lab" && name != "isinglass").collect();
+    let worlds = ["egui".to_owned()].into();
+    plan.push(Row { name: "tests".into(), arrows, worlds });
+    plan
+}
 
 /// What cargo says, asked with these arguments.
 fn metadata(args: &[&str]) -> Value {
@@ -69,43 +81,61 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
         .collect()
 }
 
-/// The arrows that are not drawn.
-fn violations(dependencies: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
-    let mut found = Vec::new();
-    for (from, all) in dependencies {
-        let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| name == from) else {
-            found.push(format!("{from} is not on the plan"));
+/// Where crates and page differ. Of arrows both ways, and a foreign crate that nobody uses is none.
+fn violations(plan: &[Row], dependencies: &BTreeMap<String, BTreeSet<String>>) -> BTreeSet<String> {
+    let short = |name: &str| name.strip_prefix("isinglass-").unwrap_or(name).to_owned();
+    let is_foreign = |name: &String| plan.iter().any(|row| row.worlds.contains(name));
+    let mut found = BTreeSet::new();
+    for row in plan {
+        let of_row =
+            |(name, all): (&String, &BTreeSet<String>)| (short(name) == row.name).then(|| all.clone());
+        let Some(all) = dependencies.iter().find_map(of_row) else {
+            found.insert(format!("there is no {}", row.name));
             continue;
         };
-        for to in all {
-            let ours = to.strip_prefix("isinglass-");
-            if ours.is_some_and(|short| !allowed.contains(&short)) {
-                found.push(format!("{from} -> {to}"));
-            }
-            if let Some((_, homes)) = WORLDS.iter().find(|(world, _)| world == to)
-                && !homes.contains(&from.as_str())
-            {
-                found.push(format!("{from} names {to}"));
-            }
-        }
+        let ours: BTreeSet<String> =
+            all.iter().filter(|to| dependencies.contains_key(*to)).map(|to| short(to)).collect();
+        let is_of_tests = row.name == "tests";
+        found.extend(ours.difference(&row.arrows).map(|to| format!("{} -> {to}", row.name)));
+        let undrawn = row.arrows.difference(&ours).filter(|_| !is_of_tests);
+        found.extend(undrawn.map(|to| format!("no {} -> {to}", row.name)));
+        let worlds: BTreeSet<String> = all.into_iter().filter(|name| is_foreign(name)).collect();
+        found.extend(worlds.difference(&row.worlds).map(|to| format!("{} names {to}", row.name)));
+        found.extend(row.worlds.difference(&worlds).map(|to| format!("{} does not name {to}", row.name)));
     }
+    let is_unknown = |name: &&String| !plan.iter().any(|row| short(name) == row.name);
+    found.extend(dependencies.keys().filter(is_unknown).map(|name| format!("{name} is not on the page")));
     found
 }
 
 #[test]
 fn arrows_are_as_drawn() {
-    let dependencies = dependencies();
-    assert_eq!(dependencies.len(), ARROWS.len(), "{:?}", dependencies.keys());
-    assert_eq!(violations(&dependencies), Vec::<String>::new());
+    let plan = plan(&page());
+    assert!(plan.len() > 10, "the table is read");
+    assert_eq!(violations(&plan, &dependencies()), BTreeSet::new());
 }
 
 #[test]
-fn a_wrong_arrow_is_found() {
+fn a_wrong_arrow_is_found_on_the_page_and_among_the_crates() {
+    let found = |page: &str, dependencies: &_| Vec::from_iter(violations(&plan(page), dependencies));
     let mut dependencies = dependencies();
+    let page = page();
+    for (row, changed, expected) in [
+        (
+            "| `server` |",
+            page.replacen("core formats gpu render net |", "core formats gpu net |", 1),
+            "server -> render",
+        ),
+        ("| `net` |", page.replacen("`rcgen` | core |", "`rcgen` | core gpu |", 1), "no net -> gpu"),
+        ("| `gpu` |", page.replacen("| `gpu` |", "| `cpu` |", 1), "isinglass-gpu is not on the page"),
+        ("`winit`", page.replacen("`winit`", "`glutin`", 1), "client does not name glutin"),
+    ] {
+        assert!(page.contains(row) && changed != page, "{row}");
+        assert!(found(&changed, &dependencies).iter().any(|f| f == expected), "{expected}");
+    }
     let core = dependencies.get_mut("isinglass-core").expect("core is a member");
-    core.insert("isinglass-net".into());
-    core.insert("wgpu".into());
-    assert_eq!(violations(&dependencies), ["isinglass-core -> isinglass-net", "isinglass-core names wgpu"]);
+    core.extend(["isinglass-net", "wgpu"].map(str::to_owned));
+    assert_eq!(found(&page, &dependencies), ["core -> net", "core names wgpu"]);
 }
 
 /// The codecs of others that a build without features carries.

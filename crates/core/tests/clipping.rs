@@ -149,26 +149,6 @@ fn half_a_sphere_is_the_closed_form() {
     }
 }
 
-/// The promise of the viewer: where the frame was made with the clip that is wished for, cutting it there changes nothing
-/// that can be seen.
-#[test]
-fn a_clipped_frame_cut_again_is_the_rendering_at_its_own_pose() {
-    for builtin in Builtin::ALL {
-        let scene = scene(builtin);
-        let bounds = scene.volume.bounds();
-        for clip in clips(&bounds) {
-            let cut = clipped(&scene, clip);
-            for camera in cameras(0.5, 48, &bounds) {
-                let truth = render(&cut, &camera);
-                assert!(max_difference(&truth, &render(&scene, &camera)) > 30, "something is cut away");
-                let frame = frame_of(&cut, camera, 8);
-                let difference = max_difference(&cast(&frame, &bounds, &camera, clip), &truth);
-                assert!(difference <= 1, "{} {clip:?}: {difference}/255", builtin.name());
-            }
-        }
-    }
-}
-
 /// Before the server's frame is there: nothing outside is drawn, and what is inside looks as it will.
 #[test]
 fn a_whole_frame_is_cut_at_once() {

@@ -1,5 +1,5 @@
-//! Layered frames and their novel views: exact at their own pose, and from anywhere equal to a brute-force reference
-//! that intersects every segment.
+//! Novel views of layered frames from anywhere: equal to a brute-force reference that intersects every segment. The
+//! view from a frame's own pose is the matter of `tests/tests/same_pose.rs`.
 
 #[path = "common/brute_force.rs"]
 mod brute_force;
@@ -12,7 +12,7 @@ use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::Clip;
 use isinglass_core::kernels::empty_space::{CELL_UNITS, DEPTH_CELLS, EmptySpace};
 use isinglass_core::kernels::layering::budget;
-use isinglass_core::kernels::march::{TRANSMITTANCE_MIN, render};
+use isinglass_core::kernels::march::TRANSMITTANCE_MIN;
 use isinglass_core::kernels::raycast::{CastOptions, Raycaster, Reconstruction, raycast};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
@@ -24,29 +24,6 @@ use self::frames::{frame_of, max_difference};
 
 fn camera(pose: Pose, size: u32, bounds: &Aabb) -> Camera {
     Camera::new(pose, Intrinsics::perspective(size, size - 3, 0.8), bounds)
-}
-
-#[test]
-fn own_pose_is_the_rendering() {
-    for builtin in Builtin::ALL {
-        let scene = scene(builtin);
-        let bounds = scene.volume.bounds();
-        for (azimuth, distance) in [(0.3, 5.0), (2.0, 2.2), (4.0, 0.4)] {
-            let camera = camera(Pose::orbit(Vec3::ZERO, azimuth, 0.2, distance), 48, &bounds);
-            let truth = render(&scene, &camera);
-            for k in [1, 8, 32] {
-                let frame = frame_of(&scene, camera, k);
-                let at = format!("{} k={k} azimuth {azimuth}", builtin.name());
-                assert!(max_difference(&frame.flatten(), &truth) <= 1, "flatten: {at}");
-                assert!(max_difference(&raycast(&frame, &bounds, &camera), &truth) <= 1, "raycast: {at}");
-            }
-            // Negative control: one pixel to the side is not the rendering.
-            let frame = frame_of(&scene, camera, 8);
-            let mut beside = camera;
-            beside.pose.eye += beside.pose.world_from_view * Vec3::X * 0.1 * distance;
-            assert!(max_difference(&raycast(&frame, &bounds, &beside), &truth) > 8);
-        }
-    }
 }
 
 /// Cameras from which rays run along, across and against the old ones. The odd hundredths keep rays off the borders

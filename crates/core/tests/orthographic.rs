@@ -119,30 +119,6 @@ fn sizes_do_not_depend_on_depth_and_the_middle_is_as_in_the_perspective() {
     assert!(max_difference(&render(&scene, &flat), &render(&scene, &nearer)) <= 1, "no eye to come nearer");
 }
 
-#[test]
-fn own_pose_is_the_rendering() {
-    for builtin in Builtin::ALL {
-        let scene = scene(builtin);
-        let bounds = scene.volume.bounds();
-        for (azimuth, distance) in [(0.3, 5.0), (4.0, 0.6)] {
-            let camera = parallel(azimuth, distance, 48, &bounds);
-            let truth = render(&scene, &camera);
-            let frame = frame_of(&scene, camera, 8);
-            let at = format!("{} azimuth {azimuth}", builtin.name());
-            assert!(max_difference(&frame.flatten(), &truth) <= 1, "flatten: {at}");
-            assert!(max_difference(&raycast(&frame, &bounds, &camera), &truth) <= 1, "raycast: {at}");
-            // A frame with a margin around the same picture is as exact.
-            let wide = Camera { intrinsics: camera.intrinsics.with_margin(16), ..camera };
-            let wide = raycast(&frame_of(&scene, wide, 8), &bounds, &camera);
-            assert!(max_difference(&wide, &truth) <= 1, "with a margin: {at}");
-            // Negative control: a tenth to the side is not the rendering.
-            let mut beside = camera;
-            beside.pose.eye += camera.pose.world_from_view * Vec3::X * 0.1 * distance;
-            assert!(max_difference(&raycast(&frame, &bounds, &beside), &truth) > 8);
-        }
-    }
-}
-
 /// Switching between the projections shows the old frame under the new camera at once.
 #[test]
 fn frames_of_one_projection_are_cast_right_into_the_other() {

@@ -193,6 +193,7 @@ const SAMPLES_PER_SIDE: i32 = 64;
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
+    use isinglass_core::transfer::ControlPoint;
     use isinglass_core::volume::{VolumeInfo, Voxels};
 
     use super::*;
@@ -221,13 +222,40 @@ mod tests {
         assert_eq!(others, ["presets", "server.toml", "viewer.toml"]);
     }
 
-    /// A jump in opacity would appear as a hard edge, so the first point must be clear.
+    /// What is wrong with a curve: a jump in opacity would appear as a hard edge. Opacity begins at zero, has one value
+    /// everywhere, and grows or falls by no more than half within an eighth of the domain.
+    fn jump(points: &[ControlPoint]) -> Option<&'static str> {
+        if points[0].opacity != 0.0 {
+            return Some("does not begin clear");
+        }
+        let is_steep =
+            |p: &[ControlPoint]| (p[1].opacity - p[0].opacity).abs() > STEEPEST * (p[1].x - p[0].x);
+        if points.windows(2).any(|p| p[0].x >= p[1].x) {
+            return Some("has two opacities in one place");
+        }
+        points.windows(2).any(is_steep).then_some("jumps")
+    }
+
+    /// Opacity by the width of the domain.
+    const STEEPEST: f32 = 4.0;
+
     #[test]
     fn opacities_ramp_without_jumps() {
         for name in preset_names() {
             let points = preset(name).unwrap().points;
-            assert_eq!(points[0].opacity, 0.0, "{name} starts clear");
-            assert!(points.windows(2).all(|p| p[0].x < p[1].x), "{name} has no two points in one place");
+            assert_eq!(jump(&points), None, "{name}");
+            // Negative controls.
+            let with = |change: &dyn Fn(&mut Vec<ControlPoint>)| {
+                let mut points = points.clone();
+                change(&mut points);
+                jump(&points)
+            };
+            assert_eq!(with(&|points| points[0].opacity = 0.01), Some("does not begin clear"));
+            assert_eq!(with(&|points| points[1].x = points[0].x), Some("has two opacities in one place"));
+            let edge = |points: &mut Vec<ControlPoint>| {
+                points.push(ControlPoint { x: 1.001, opacity: 1.0, ..points[0] });
+            };
+            assert_eq!(with(&edge), Some("jumps"), "{name}");
         }
     }
 
