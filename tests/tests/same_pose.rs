@@ -106,7 +106,7 @@ fn check_scene(source: &str, scene: &Scene, backends: &[Backend]) {
         // Half floats carry C and τ to 2^−11: less than half a step of 1/255.
         assert!(own.max_abs_255 <= 1, "{at}: {own:?}");
 
-        let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
+        let encoded = codec::encode(&frame).unwrap();
         let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();
         let decoded = codec::decode(&chunks).unwrap();
         let wired = error(&backend.raycast(&decoded, &bounds, &camera).unwrap(), &truth);
@@ -144,7 +144,7 @@ fn of_clipped_volumes_and_parallel_rays_through_the_wire() {
                 assert!(error(&truth, &uncut).max_abs_255 > 30, "{at}: nothing is cut away");
                 let header = FrameHeader::alone(camera, 8);
                 let frame = renderer.generate(header).unwrap();
-                let encoded = codec::encode(&frame, &codec::Settings::default()).unwrap();
+                let encoded = codec::encode(&frame).unwrap();
                 let chunks: Vec<_> = encoded.chunks.iter().map(|c| c.bytes.as_slice()).collect();
                 let decoded = codec::decode(&chunks).unwrap();
                 assert_eq!(decoded.header.camera, camera, "{at}");

@@ -30,6 +30,6 @@ pub use token::{Token, TokenError};
 /// Version of everything that is said on a connection.
 pub const PROTOCOL_VERSION: u32 = 11;
 /// What both sides name in the TLS handshake: peers of another version do not get further.
-pub const ALPN: &[u8] = b"isinglass/11";
+pub const ALPN: &[u8] = b"isinglass/12";
 /// Longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

@@ -1,7 +1,6 @@
 //! The decoded blocks of a band: what the client shows, and what later frames are predicted from.
 
-use super::coding::Place;
-use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS, lists_of};
+use super::model::{BLOCK, BLOCK_LISTS, BandPlace, DepthPlane, MAX_LAYERS, lists_of};
 use super::scales::whole;
 
 /// Front and back of a layer.
@@ -60,14 +59,8 @@ impl Band {
             + BYTES_OF_CELL * self.num_cells
     }
 
-    /// An empty band that is counted as so many bytes, or a few less.
-    #[cfg(test)]
-    pub(super) fn counted_as(num_bytes: usize) -> Self {
-        Self { across: 1, num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
-    }
-
     /// A band without blocks yet, with memory for so many and about so many cells.
-    pub(super) fn new(place: Place, num_cells: usize) -> Self {
+    pub(super) fn new(place: BandPlace, num_cells: usize) -> Self {
         let num_blocks = place.across * place.num_rows;
         Self {
             across: place.across,
@@ -386,11 +379,6 @@ pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The row of blocks that a row of lists is in.
-pub(super) fn blocks_along(side: u32) -> usize {
-    (side as usize).div_ceil(BLOCK)
-}
-
 /// The first list of each row of a block.
 const FIRST_OF_ROWS: u64 = u64::from_ne_bytes([1; 8]);
 /// Words of a list's cell, and of a row of these.
@@ -408,10 +396,18 @@ const MAX_FRONT: f32 = 65500.0;
 const MAX_BACK: f32 = 65535.0;
 
 #[cfg(test)]
+impl Band {
+    /// An empty band that is counted as so many bytes, or a few less.
+    pub(super) fn counted_as(num_bytes: usize) -> Self {
+        Self { across: 1, num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
-    const PLACE: Place = Place { across: 2, first_row: 0, num_rows: 2, size: [16, 16] };
+    const PLACE: BandPlace = BandPlace { across: 2, first_row: 0, num_rows: 2, size: [16, 16] };
     const PLANES: Planes =
         (DepthPlane { z: 3000.0, dx: 5.0, dy: -4.0 }, DepthPlane { z: 5000.0, dx: 5.0, dy: 7.0 });
     /// All lists, none, one, a row, two in rows that do not touch.

@@ -3,6 +3,7 @@
 //! Double precision, sums, products, quotients and square roots alone: the same bits on every machine. The tangent of
 //! the field of view is summed here, since libraries differ in the last bit of theirs.
 
+use super::super::portable_math::tan;
 use crate::camera::{Camera, Projection};
 use crate::layer::DEPTH_UNITS;
 
@@ -133,17 +134,6 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 
 fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-/// Tangent of an angle in [0, π/2) by the series of sine and cosine.
-fn tan(x: f64) -> f64 {
-    let (mut sine, mut cosine) = (1.0, 1.0);
-    for n in (1..=14).rev() {
-        let n = f64::from(2 * n);
-        cosine = 1.0 - x * x / ((n - 1.0) * n) * cosine;
-        sine = 1.0 - x * x / (n * (n + 1.0)) * sine;
-    }
-    x * sine / cosine
 }
 
 /// Nothing moves so far and is still of use: beyond the largest picture and the depth range.

@@ -2,11 +2,11 @@
 //! same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding
 //! of planes is compared with image codecs, on planes of theirs.
 
-use super::super::CodecError;
-use super::coding::{Expected, residual};
+use super::super::error::CodecError;
 use super::edges::{Edges, spread};
 use super::entropy::{Coder, Decoder, Encoder};
 use super::model::{BLOCK, BLOCK_LISTS};
+use super::residual::{Expected, residual};
 use super::scales::{roots_from_ycc, ycc_from_roots};
 use super::smooth::{Border, smooth};
 use super::syntax::{Contexts, NO_CLASS};

@@ -10,7 +10,7 @@
 
 use std::sync::LazyLock;
 
-use super::super::scale::exp_neg;
+use super::super::portable_math::{exp_neg, ln};
 use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
 
 /// Tables by the code of u.
@@ -133,6 +133,12 @@ pub(super) fn roots_from_ycc([y, co, cg]: [f32; 3]) -> [f32; 3] {
     [rest + co, y + cg, rest - co]
 }
 
+/// The roots of red, green and blue of a cell, within what colours can be.
+#[inline(always)]
+pub(super) fn roots(ycc: [i16; 3]) -> [f32; 3] {
+    roots_from_ycc(ycc.map(f32_from_fixed)).map(|r| r.clamp(0.0, MAX_ROOT))
+}
+
 /// A colour difference or brightness as it is kept.
 #[inline(always)]
 pub(super) fn fixed_from_f32(x: f32) -> i16 {
@@ -173,24 +179,13 @@ fn tau_from_u(u: f64) -> f64 {
     high
 }
 
-/// Natural logarithm of a number from 1 on, by the series of the inverse hyperbolic tangent.
-fn ln(x: f64) -> f64 {
-    let bits = x.to_bits();
-    let octave = (bits >> 52) as i32 - 1023;
-    let mantissa = f64::from_bits(bits & ((1 << 52) - 1) | 1023 << 52);
-    let t = (mantissa - 1.0) / (mantissa + 1.0);
-    let mut sum = 0.0;
-    for n in (0..20).rev() {
-        sum = sum * t * t + 1.0 / f64::from(2 * n + 1);
-    }
-    f64::from(octave) * std::f64::consts::LN_2 + 2.0 * t * sum
-}
-
 /// 2^n by its bits.
 fn power_of_two(n: i32) -> f64 {
     f64::from_bits(((n + 1023) as u64) << 52)
 }
 
+/// Greatest root of a colour: shading can lift one above 1.
+pub(super) const MAX_ROOT: f32 = 1.2;
 /// 2²³: what is added to it has no fraction.
 const ROUNDER: f32 = ROUNDER_ONE as f32;
 const ROUNDER_ONE: u32 = 1 << 23;

@@ -167,7 +167,7 @@ const _: () = assert!(BLOCK == 8 && BLOCK_LISTS == 64);
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::width::tests::with_each;
+    use crate::simd::tests::with_each;
 
     const BORDERS: [Border; 2] = [Border::Beside, Border::Below];
 
