@@ -3,7 +3,7 @@
 
 use super::super::error::{CodecError, at_most};
 use super::super::limits::MAX_CHUNK_SEGMENTS;
-use super::band::{Band, Cells, CellsOf, NO_CELLS};
+use super::band::{Band, CellPlanes, CellsOf, NO_CELLS};
 use super::entropy::Coder;
 use super::model::{BLOCK_LISTS, BandPlace};
 use super::residual::{Expected, fixed_of, residual};
@@ -11,7 +11,7 @@ use super::scales::{
     MAX_ROOT, f32_from_fixed, fixed_from_f32, roots, roots_from_ycc, scales, ycc_from_roots,
 };
 use super::smooth::{Border, smooth_roots};
-use super::steps::Steps;
+use super::steps::StepSizes;
 use super::syntax::{Contexts, NO_CLASS};
 use super::transform::Plane;
 
@@ -28,9 +28,9 @@ pub(super) struct Corrections {
 /// order of blocks, and by an encoder only.
 pub(super) fn code<C: Coder>(
     mut coder: C,
-    steps: &Steps,
+    steps: &StepSizes,
     place: BandPlace,
-    mut source: impl FnMut(usize, &mut [Plane; 3]) -> u64,
+    mut source: impl FnMut(usize, &mut [BlockPlane; 3]) -> u64,
 ) -> Result<(C, Corrections), CodecError> {
     let mut contexts = Contexts::new();
     let mut out = Corrections { places: Vec::new(), planes: Vec::new() };
@@ -88,16 +88,16 @@ pub(super) fn code<C: Coder>(
 
 wide! {
     /// The roots of red, green and blue that the lists of a block composite to, into `found`.
-    pub(super) fn composite_roots(of: CellsOf<'_>, found: &mut [Plane; 3]) = composite_roots_any;
+    pub(super) fn composite_roots(of: CellsOf<'_>, found: &mut [BlockPlane; 3]) = composite_roots_any;
 }
 
 wide! {
     /// Multiplies the roots of the colours of a layer's cells, list by list.
-    fn multiply(cells: &mut Cells, factors: &[Plane; 3]) = multiply_any;
+    fn multiply(cells: &mut CellPlanes, factors: &[BlockPlane; 3]) = multiply_any;
 }
 
 #[inline(always)]
-fn composite_roots_any(of: CellsOf<'_>, found: &mut [Plane; 3]) {
+fn composite_roots_any(of: CellsOf<'_>, found: &mut [BlockPlane; 3]) {
     let scales = scales();
     let mut kappa = [1.0; BLOCK_LISTS];
     *found = [[0.0; BLOCK_LISTS]; 3];
@@ -126,7 +126,7 @@ fn composite_roots_any(of: CellsOf<'_>, found: &mut [Plane; 3]) {
 
 /// By the same factor in all cells of a list. Nothing stays nothing.
 #[inline(always)]
-fn multiply_any([_, _, _, y, co, cg]: &mut Cells, [of_r, of_g, of_b]: &[Plane; 3]) {
+fn multiply_any([_, _, _, y, co, cg]: &mut CellPlanes, [of_r, of_g, of_b]: &[BlockPlane; 3]) {
     for i in 0..BLOCK_LISTS {
         let own = [y[i] as i16, co[i] as i16, cg[i] as i16];
         let [r, g, b] = roots(own);
@@ -142,23 +142,23 @@ fn multiply_any([_, _, _, y, co, cg]: &mut Cells, [of_r, of_g, of_b]: &[Plane; 3
 
 /// The picture of a row of blocks, as roots of red, green and blue.
 struct PictureRow {
-    blocks: Vec<Shown>,
+    blocks: Vec<CorrectedBlock>,
 }
 
 #[derive(Clone)]
 #[repr(align(64))]
-struct Shown {
+struct CorrectedBlock {
     /// The lists with matter; none of a block without corrections.
     mask: u64,
     /// What the lists composite to, and what they shall.
-    found: [Plane; 3],
-    wanted: [Plane; 3],
+    found: [BlockPlane; 3],
+    wanted: [BlockPlane; 3],
 }
 
 impl PictureRow {
     fn new(across: usize) -> Self {
-        const NOTHING: Plane = [0.0; BLOCK_LISTS];
-        Self { blocks: vec![Shown { mask: 0, found: [NOTHING; 3], wanted: [NOTHING; 3] }; across] }
+        const NOTHING: BlockPlane = [0.0; BLOCK_LISTS];
+        Self { blocks: vec![CorrectedBlock { mask: 0, found: [NOTHING; 3], wanted: [NOTHING; 3] }; across] }
     }
 
     /// Smooths the borders within this row, then those to the one above.
@@ -175,7 +175,7 @@ impl PictureRow {
 
     /// Multiplies the colours of a row's lists so that they composite to what they shall.
     fn apply(&self, band: &mut Band, first_block: usize) {
-        for (x, Shown { mask, found, wanted }) in self.blocks.iter().enumerate() {
+        for (x, CorrectedBlock { mask, found, wanted }) in self.blocks.iter().enumerate() {
             if *mask == 0 {
                 continue;
             }
@@ -219,7 +219,7 @@ impl Corrections {
     }
 }
 
-impl Shown {
+impl CorrectedBlock {
     /// With what the cells of a block composite to too little.
     fn set(&mut self, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
         composite_roots(cells, &mut self.found);
@@ -234,7 +234,7 @@ impl Shown {
     }
 }
 
-fn smooth_between(border: Border, first: &mut Shown, second: &mut Shown, steps: &[f32; 3]) {
+fn smooth_between(border: Border, first: &mut CorrectedBlock, second: &mut CorrectedBlock, steps: &[f32; 3]) {
     let lines = border.lines(first.mask, second.mask);
     if lines != 0 {
         smooth_roots(border, &mut first.wanted, &mut second.wanted, lines, steps);
@@ -250,7 +250,7 @@ const NONE: u32 = u32::MAX;
 
 #[cfg(test)]
 mod tests {
-    use super::super::band::Lists;
+    use super::super::band::OpenBlock;
     use super::super::model::{BLOCK, DepthPlane};
     use super::*;
 
@@ -261,7 +261,7 @@ mod tests {
 
     /// A band of smooth layers, with blocks that have no matter and lists that have none, and corrections for most of it.
     fn corrected() -> (Band, Corrections) {
-        let (mut band, mut lists) = (Band::new(PLACE, 0), Lists::default());
+        let (mut band, mut lists) = (Band::new(PLACE, 0), OpenBlock::default());
         let mut corrections = Corrections { places: vec![], planes: vec![] };
         for block in 0..ACROSS * ROWS {
             let first_plane = band.planes.len();

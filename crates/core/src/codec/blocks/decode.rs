@@ -9,12 +9,12 @@ use super::super::error::{CodecError, at_most};
 use super::super::header::{ChunkHeader, HEADER_BYTES};
 use super::super::limits::{MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS};
 use super::band::Band;
-use super::coding::{BandCoder, Nothing};
+use super::coding::{BandCoder, NoSource};
 use super::corrections;
 use super::entropy::Decoder;
 use super::head::Head;
 use super::model::MAX_LAYERS;
-use super::motion::Motion;
+use super::motion::CameraMotion;
 use super::reference::{Reference, References};
 
 /// Decodes all chunks of a frame, in their order.
@@ -63,13 +63,13 @@ fn decode_band(
         }
         None => None,
     };
-    let motion = reference.map(|r| (&**r, Motion::new(&header.frame.camera, &r.header.camera)));
+    let motion = reference.map(|r| (&**r, CameraMotion::new(&header.frame.camera, &r.header.camera)));
     // About as many cells as a band of the reference has, but no more than so few bytes may be for.
     let num_cells =
         reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(coded.len() * CELLS_PER_BYTE));
     let place = head.place(header);
     let coder = BandCoder::new(Decoder::new(coded), head.steps, place, motion, num_cells);
-    let (mut decoder, mut band, _) = coder.run(&mut Nothing, MAX_CHUNK_SEGMENTS)?;
+    let (mut decoder, mut band, _) = coder.run(&mut NoSource, MAX_CHUNK_SEGMENTS)?;
     if band.num_cells() > 0 {
         let corrections;
         (decoder, corrections) = corrections::code(decoder, &head.steps, place, |_, _| 0)?;

@@ -2,18 +2,18 @@
 //! on behind it and fade, short ones first; a slope along an edge tells the mean behind it.
 
 use super::model::BLOCK;
-use super::transform::{Line, Plane, along_edges};
+use super::transform::{Line8, BlockPlane, along_edges};
 
 /// Cosine transforms of the last column and the last row of a plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Edges {
-    right: Line,
-    bottom: Line,
+    right: Line8,
+    bottom: Line8,
 }
 
 impl Edges {
     /// Those of a plane.
-    pub(super) fn of(values: &Plane) -> Self {
+    pub(super) fn of(values: &BlockPlane) -> Self {
         let [right, bottom] = along_edges(values);
         Self { right, bottom }
     }
@@ -61,7 +61,7 @@ impl EdgeRows {
 
 /// Coefficients of the plane that lies to the right of one, below another, or both; `None` for neither. All but the constant one
 /// are left out if none of them is a tenth of the step in which the plane is coded.
-pub(super) fn spread(left: Option<&Edges>, above: Option<&Edges>, step: f32) -> Option<Plane> {
+pub(super) fn spread(left: Option<&Edges>, above: Option<&Edges>, step: f32) -> Option<BlockPlane> {
     let (left, above) = match (left, above) {
         (Some(left), Some(above)) => (left.right, above.bottom),
         // Nothing is known of the other edge but how bright it may be.
@@ -73,11 +73,11 @@ pub(super) fn spread(left: Option<&Edges>, above: Option<&Edges>, step: f32) -> 
 }
 
 wide! {
-    fn from_lines(left: &Line, above: &Line, least: f32) -> Plane = from_lines_any;
+    fn from_lines(left: &Line8, above: &Line8, least: f32) -> BlockPlane = from_lines_any;
 }
 
 #[inline(always)]
-fn from_lines_any(left: &Line, above: &Line, least: f32) -> Plane {
+fn from_lines_any(left: &Line8, above: &Line8, least: f32) -> BlockPlane {
     let mut coefficients = [0.0; BLOCK * BLOCK];
     for (v, row) in coefficients.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
         for (h, out) in row.iter_mut().enumerate() {
@@ -97,7 +97,7 @@ fn from_lines_any(left: &Line, above: &Line, least: f32) -> Plane {
     coefficients
 }
 
-fn constant_wave(size: f32) -> Line {
+fn constant_wave(size: f32) -> Line8 {
     let mut line = [0.0; BLOCK];
     line[0] = size;
     line
@@ -144,14 +144,14 @@ mod tests {
     use super::*;
 
     /// A plane out of a picture, in blocks of which (0, 0) is the first.
-    fn plane([x, y]: [usize; 2], picture: impl Fn(f32, f32) -> f32) -> Plane {
+    fn plane([x, y]: [usize; 2], picture: impl Fn(f32, f32) -> f32) -> BlockPlane {
         std::array::from_fn(|i| picture((x * BLOCK + i % BLOCK) as f32, (y * BLOCK + i / BLOCK) as f32))
     }
 
     /// Mean square that the plane at (1, 1) is off, expected from edges and from means.
     fn errors(picture: impl Fn(f32, f32) -> f32 + Copy) -> [f32; 2] {
         let [left, above, wanted] = [[0, 1], [1, 0], [1, 1]].map(|at| plane(at, picture));
-        let off = |found: &Plane| -> f32 {
+        let off = |found: &BlockPlane| -> f32 {
             found.iter().zip(&wanted).map(|(a, b)| (a - b).powi(2)).sum::<f32>() / BLOCK_LISTS as f32
         };
         let mean = (left.iter().sum::<f32>() + above.iter().sum::<f32>()) / (2 * BLOCK_LISTS) as f32;
@@ -184,11 +184,11 @@ mod tests {
         for (found, wanted) in [(found.right, a.right), (found.bottom, a.bottom)] {
             assert!(found.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-5));
         }
-        let rough: Plane = std::array::from_fn(|i| ((i * 37) % 11) as f32 * 0.1);
+        let rough: BlockPlane = std::array::from_fn(|i| ((i * 37) % 11) as f32 * 0.1);
         let Edges { right, bottom } = Edges::of(&rough);
         let one = spread(Some(&Edges { right, bottom }), Some(&a), 0.0).unwrap();
         let other = spread(Some(&a), Some(&Edges { right: bottom, bottom: right }), 0.0).unwrap();
-        let transposed: Plane = std::array::from_fn(|i| other[i % BLOCK * BLOCK + i / BLOCK]);
+        let transposed: BlockPlane = std::array::from_fn(|i| other[i % BLOCK * BLOCK + i / BLOCK]);
         assert!(one.iter().zip(&transposed).all(|(a, b)| (a - b).abs() < 1e-5));
         // Faint waves are none, but the constant one stays.
         let faint = spread(Some(&Edges { right, bottom }), Some(&a), 1000.0).unwrap();

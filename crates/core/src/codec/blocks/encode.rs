@@ -16,10 +16,10 @@ use super::entropy::Encoder;
 use super::head::{self, Head};
 use super::layer_search::{BlockLists, LayerSearch};
 use super::model::{BLOCK, BLOCK_LISTS, BandPlace, MAX_LAYERS};
-use super::motion::Motion;
+use super::motion::CameraMotion;
 use super::reference::{Notes, Reference};
 use super::scales::ycc_from_roots;
-use super::steps::{self, LayerCost, Settings, Steps};
+use super::steps::{self, LayerCost, Settings, StepSizes};
 use super::transform::Plane;
 use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame};
@@ -53,7 +53,7 @@ pub(in crate::codec) fn encode_while(
     let num_bands = num_bands(camera.intrinsics.height).min(settings.max_bands.max(1));
     let borders = bands::borders(frame, num_bands);
     let head = Head { steps, reference: reference.map(Reference::frame), borders };
-    let motion = reference.map(|r| (r, Motion::new(&camera, &r.header.camera)));
+    let motion = reference.map(|r| (r, CameraMotion::new(&camera, &r.header.camera)));
     // From both ends, so that a thread with two neighbours in this order has one from the border and one from the middle:
     // what either takes longer than was thought evens out.
     let num = usize::from(num_bands);
@@ -89,8 +89,8 @@ fn band(
     frame: &LayeredFrame,
     place: BandPlace,
     cost: LayerCost,
-    steps: Steps,
-    reference: Option<(&Reference, Motion)>,
+    steps: StepSizes,
+    reference: Option<(&Reference, CameraMotion)>,
     wanted: Wanted<'_>,
 ) -> Result<EncodedBand, CodecError> {
     let mut planner = BlockPlanner::new(frame, place, cost, steps, reference, wanted);
@@ -101,7 +101,7 @@ fn band(
     }
     if decoded.num_cells() > 0 {
         let BlockPlanner { goals, goal_of, .. } = &planner;
-        let source = |block: usize, planes: &mut [Plane; 3]| {
+        let source = |block: usize, planes: &mut [BlockPlane; 3]| {
             // A block of the reference has its corrections in it.
             let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
             match goals.get(goal_of[block] as usize) {
@@ -124,7 +124,7 @@ fn segments(frame: &LayeredFrame, place: BandPlace) -> usize {
 
 /// By how much the lists of a block composite to too little, as roots, when they should composite to `goal`; and
 /// which have matter.
-fn miss(goal: &[Plane; 3], cells: CellsOf<'_>, planes: &mut [Plane; 3]) -> u64 {
+fn miss(goal: &[BlockPlane; 3], cells: CellsOf<'_>, planes: &mut [BlockPlane; 3]) -> u64 {
     composite_roots(cells, planes);
     for i in 0..BLOCK_LISTS {
         let ycc = ycc_from_roots(std::array::from_fn(|c| goal[c][i] - planes[c][i]));
@@ -137,7 +137,7 @@ fn miss(goal: &[Plane; 3], cells: CellsOf<'_>, planes: &mut [Plane; 3]) -> u64 {
 
 /// Planes that are coded as a block's own.
 #[derive(Default)]
-struct Own {
+struct PlaneCandidate {
     codes: Vec<(PlaneCode, PlaneCode)>,
     /// Those that a decoder makes of the codes.
     planes: Vec<Planes>,
@@ -146,9 +146,9 @@ struct Own {
     worth: f32,
 }
 
-impl Own {
+impl PlaneCandidate {
     /// Codes the planes that are there, and tries them.
-    fn weigh(&mut self, search: &mut LayerSearch, lists: &BlockLists, steps: &Steps, per_layer: f32) {
+    fn weigh(&mut self, search: &mut LayerSearch, lists: &BlockLists, steps: &StepSizes, per_layer: f32) {
         steps.codes(&self.planes, &mut self.codes);
         steps.planes(&self.codes, &mut self.planes);
         self.error = search.error(lists, &self.planes, f32::INFINITY);
@@ -165,18 +165,18 @@ struct BlockPlanner<'a> {
     frame: &'a LayeredFrame,
     place: BandPlace,
     cost: LayerCost,
-    steps: Steps,
-    reference: Option<(&'a Reference, Motion)>,
+    steps: StepSizes,
+    reference: Option<(&'a Reference, CameraMotion)>,
     search: LayerSearch,
     lists: BlockLists,
-    own: Own,
-    searched: Own,
+    own: PlaneCandidate,
+    searched: PlaneCandidate,
     planes: Vec<Planes>,
     best: Vec<Planes>,
     notes: Notes,
     /// The roots of red, green and blue that the lists of blocks composite to, and their place for each block;
     /// [`NO_GOAL`] where there is nothing.
-    goals: Vec<[Plane; 3]>,
+    goals: Vec<[BlockPlane; 3]>,
     goal_of: Vec<u32>,
     is_wanted: Wanted<'a>,
     /// Blocks are empty from now on: nobody waits for the band.
@@ -188,8 +188,8 @@ impl<'a> BlockPlanner<'a> {
         frame: &'a LayeredFrame,
         place: BandPlace,
         cost: LayerCost,
-        steps: Steps,
-        reference: Option<(&'a Reference, Motion)>,
+        steps: StepSizes,
+        reference: Option<(&'a Reference, CameraMotion)>,
         is_wanted: Wanted<'a>,
     ) -> Self {
         Self {
@@ -200,8 +200,8 @@ impl<'a> BlockPlanner<'a> {
             reference,
             search: LayerSearch::default(),
             lists: BlockLists::default(),
-            own: Own::default(),
-            searched: Own::default(),
+            own: PlaneCandidate::default(),
+            searched: PlaneCandidate::default(),
             planes: Vec::new(),
             best: Vec::new(),
             notes: Vec::with_capacity(place.across * place.num_rows),
@@ -370,7 +370,7 @@ mod tests {
     /// What is planned for a block with these lists, where the frame before had layers between these depths.
     fn planned(list: impl Fn(usize) -> Vec<Segment>, before: &[[f32; 2]]) -> (Plan, f32) {
         let frame = frame(list);
-        let steps = Steps { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+        let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
         let place = BandPlace { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
         let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, ALWAYS);
         let offered = |origin: Origin, out: &mut Vec<Planes>| {
@@ -416,7 +416,7 @@ mod tests {
         let coded = |has_matter: fn(usize) -> bool, limit: usize| {
             let list = |i| if has_matter(i) { vec![slab(i, 20300.0, 3000.0, 0.8, 1.5)] } else { vec![] };
             let frame = frame(list);
-            let steps = Steps { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+            let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
             let place = BandPlace { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
             let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, ALWAYS);
             match BandCoder::new(Encoder::new(), steps, place, None, 0).run(&mut planner, limit) {

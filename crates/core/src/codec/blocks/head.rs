@@ -5,13 +5,13 @@ use super::super::error::CodecError;
 use super::super::header::{ChunkHeader, HEADER_BYTES};
 use super::super::limits::MAX_CHUNKS;
 use super::model::{BandPlace, blocks_along};
-use super::steps::{STEPS_BYTES, Steps};
+use super::steps::{STEPS_BYTES, StepSizes};
 use crate::ids::FrameId;
 
 /// The head of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Head {
-    pub(super) steps: Steps,
+    pub(super) steps: StepSizes,
     /// The frame that this one is predicted from.
     pub(super) reference: Option<FrameId>,
     /// Where the bands end, in rows of blocks.
@@ -36,7 +36,7 @@ impl Head {
         };
         let [_, _, _, _, _, steps @ ..] = *fixed;
         let reference = named(fixed)?;
-        let steps = Steps::from_bytes(steps)
+        let steps = StepSizes::from_bytes(steps)
             .ok_or_else(|| damaged(format!("steps {steps:02x?}, expected positive ones")))?;
         *bytes = rest;
         let num_rows = blocks_along(header.frame.camera.intrinsics.height);

@@ -14,7 +14,7 @@ use super::transform::Plane;
 
 /// What a picture is, and how finely it is coded.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Picture {
+pub struct BlockPicture {
     /// Columns and rows.
     pub size: [usize; 2],
     /// 1, or 3: red, green and blue.
@@ -25,7 +25,7 @@ pub struct Picture {
     pub chroma: f32,
 }
 
-impl Picture {
+impl BlockPicture {
     /// Encodes samples from 0 to 1, row by row, all channels of a pixel together.
     pub fn encode(&self, samples: &[f32]) -> Vec<u8> {
         self.code(Encoder::new(), samples, None).finish()
@@ -53,7 +53,7 @@ impl Picture {
     }
 
     /// Codes the blocks; `whole`, if it is there, gets their components as a decoder has them.
-    fn code<C: Coder>(&self, mut coder: C, samples: &[f32], mut whole: Option<&mut Vec<[Plane; 3]>>) -> C {
+    fn code<C: Coder>(&self, mut coder: C, samples: &[f32], mut whole: Option<&mut Vec<[BlockPlane; 3]>>) -> C {
         let [width, height] = self.size;
         let mut contexts = Contexts::new();
         let across = width.div_ceil(BLOCK);
@@ -105,7 +105,7 @@ impl Picture {
     }
 
     /// Smooths the borders between all blocks.
-    fn smooth(&self, whole: &mut [[Plane; 3]]) {
+    fn smooth(&self, whole: &mut [[BlockPlane; 3]]) {
         let across = self.size[0].div_ceil(BLOCK);
         let steps = &self.steps()[..self.channels];
         for (border, back) in [(Border::Beside, 1), (Border::Below, across)] {
@@ -137,7 +137,7 @@ impl Picture {
     }
 
     /// The components of a block.
-    fn block(&self, samples: &[f32], block: usize) -> [Plane; 3] {
+    fn block(&self, samples: &[f32], block: usize) -> [BlockPlane; 3] {
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
         for i in 0..BLOCK_LISTS {
             let Some(at) = self.place(block, i) else { continue };
@@ -165,7 +165,7 @@ mod tests {
                 .collect();
             let mut last = 0;
             for step in [0.2, 0.05, 0.01] {
-                let picture = Picture { size, channels, step, chroma: 2.0 };
+                let picture = BlockPicture { size, channels, step, chroma: 2.0 };
                 let bytes = picture.encode(&samples);
                 let found = picture.decode(&bytes).unwrap();
                 let squares: f32 = samples.iter().zip(&found).map(|(a, b)| (a - b).powi(2)).sum();
@@ -174,7 +174,7 @@ mod tests {
                 assert!(bytes.len() >= last);
                 last = bytes.len();
             }
-            let picture = Picture { size, channels, step: 0.01, chroma: 2.0 };
+            let picture = BlockPicture { size, channels, step: 0.01, chroma: 2.0 };
             let bytes = picture.encode(&samples);
             if size[0] > 1 {
                 assert!(picture.decode(&bytes[..bytes.len() / 2]).is_err());

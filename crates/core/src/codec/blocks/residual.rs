@@ -4,19 +4,19 @@ use super::entropy::Coder;
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::scales::{fixed_from_f32, whole};
 use super::syntax::{Contexts, Levels};
-use super::transform::{Plane, ZIGZAG, fill_in, forward, inverse};
+use super::transform::{BlockPlane, ZIGZAG, fill_in, forward, inverse};
 
 /// What is expected of a plane.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Expected<'a> {
     Constant(f32),
-    Plane(&'a Plane),
+    Plane(&'a BlockPlane),
     /// Its coefficients.
-    Waves(&'a Plane),
+    Waves(&'a BlockPlane),
 }
 
 impl Expected<'_> {
-    fn values(&self) -> Plane {
+    fn values(&self) -> BlockPlane {
         match self {
             Self::Constant(value) => [*value; BLOCK_LISTS],
             Self::Plane(plane) => **plane,
@@ -35,9 +35,9 @@ pub(super) fn residual<C: Coder>(
     near: [u8; 2],
     step: f32,
     mask: u64,
-    source: Option<&Plane>,
+    source: Option<&BlockPlane>,
     expected: &Expected<'_>,
-    values: &mut Plane,
+    values: &mut BlockPlane,
 ) -> (u8, f32) {
     let mut levels = Levels::ZERO;
     if let (true, Some(source)) = (C::ENCODES, source) {
@@ -48,7 +48,7 @@ pub(super) fn residual<C: Coder>(
             }
             _ => {
                 let expected = expected.values();
-                let mut difference: Plane = std::array::from_fn(|i| source[i] - expected[i]);
+                let mut difference: BlockPlane = std::array::from_fn(|i| source[i] - expected[i]);
                 fill_in(&mut difference, mask);
                 forward(&difference)
             }
@@ -89,24 +89,24 @@ pub(super) fn residual<C: Coder>(
 
 wide! {
     /// Colours as they are kept, within a range.
-    pub(super) fn fixed_of(values: &Plane, range: [f32; 2], fixed: &mut [i16; BLOCK_LISTS])
+    pub(super) fn fixed_of(values: &BlockPlane, range: [f32; 2], fixed: &mut [i16; BLOCK_LISTS])
         = fixed_of_any;
 }
 
 wide! {
     /// Levels of coefficients.
-    fn quantize(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) = quantize_any;
+    fn quantize(coefficients: &BlockPlane, step: f32, rounding: [f32; 2], levels: &mut Levels) = quantize_any;
 }
 
 #[inline(always)]
-fn fixed_of_any(values: &Plane, [least, most]: [f32; 2], fixed: &mut [i16; BLOCK_LISTS]) {
+fn fixed_of_any(values: &BlockPlane, [least, most]: [f32; 2], fixed: &mut [i16; BLOCK_LISTS]) {
     for (fixed, value) in fixed.iter_mut().zip(values) {
         *fixed = fixed_from_f32(value.clamp(least, most));
     }
 }
 
 #[inline(always)]
-fn quantize_any(coefficients: &Plane, step: f32, rounding: [f32; 2], levels: &mut Levels) {
+fn quantize_any(coefficients: &BlockPlane, step: f32, rounding: [f32; 2], levels: &mut Levels) {
     let size = |c: f32, rounding: f32| {
         let size = c.abs() / step + rounding;
         whole(if size < MAX_SIZE { size } else { MAX_SIZE }) as i32

@@ -20,10 +20,10 @@ pub(super) struct Scales {
     /// α = 1 − e^−τ.
     pub(super) alpha: Box<[f32]>,
     /// Optical depth τ, a half float, positive from code 1 on, and α.
-    tau_and_alpha: Box<[Pair; CODES as usize]>,
+    tau_and_alpha: Box<[FloatPair; CODES as usize]>,
     /// u of optical depths that are [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on, and by how much the next is
     /// more. As long as a power of two, so that a masked place is within.
-    u_at: Box<[Pair; PLACES]>,
+    u_at: Box<[FloatPair; PLACES]>,
     /// Codes to a unit of u, and back.
     codes_per_u: f32,
     u_per_code: f32,
@@ -31,9 +31,9 @@ pub(super) struct Scales {
 
 /// Two numbers that are looked up at once, as one word.
 #[derive(Clone, Copy)]
-struct Pair(u64);
+struct FloatPair(u64);
 
-impl Pair {
+impl FloatPair {
     fn new(a: f32, b: f32) -> Self {
         Self(u64::from(a.to_bits()) | u64::from(b.to_bits()) << 32)
     }
@@ -58,11 +58,11 @@ impl Scales {
             let octave = (i / PER_OCTAVE) as i32 + LEAST_OCTAVE;
             u_from_tau((mantissa * power_of_two(octave)).min(f64::from(TAU_MAX))) as f32
         };
-        let mut u_at = Box::new([Pair(0); PLACES]);
+        let mut u_at = Box::new([FloatPair(0); PLACES]);
         let mut next = u_of_place(0);
         for (i, at) in u_at.iter_mut().enumerate().take(OCTAVES * PER_OCTAVE + 1) {
             let u = std::mem::replace(&mut next, u_of_place(i + 1));
-            *at = Pair::new(u, next - u);
+            *at = FloatPair::new(u, next - u);
         }
         let tau_half: Box<[u16]> = (0..CODES)
             .map(|code| {
@@ -75,9 +75,9 @@ impl Scales {
             .collect();
         let tau: Box<[f32]> = tau_half.iter().map(|&half| unpack_halves(half.into()).0).collect();
         let alpha: Box<[f32]> = tau.iter().map(|&t| (1.0 - exp_neg(t)) as f32).collect();
-        let mut tau_and_alpha = Box::new([Pair(0); CODES as usize]);
+        let mut tau_and_alpha = Box::new([FloatPair(0); CODES as usize]);
         for ((both, tau), alpha) in tau_and_alpha.iter_mut().zip(&tau).zip(&alpha) {
-            *both = Pair::new(*tau, *alpha);
+            *both = FloatPair::new(*tau, *alpha);
         }
         Self {
             alpha,

@@ -51,7 +51,7 @@ fn units_per_pixel(camera: &Camera) -> f32 {
 
 /// The steps that values are quantised in, as a decoder needs them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Steps {
+pub(super) struct StepSizes {
     /// Depth units.
     pub(super) depth: f32,
     /// Of u.
@@ -64,7 +64,7 @@ pub(super) struct Steps {
     pub(super) chroma: f32,
 }
 
-impl Steps {
+impl StepSizes {
     /// Of Y, Co, Cg in the correction of the picture.
     pub(super) fn of_picture(&self) -> [f32; 3] {
         [self.picture, self.picture * self.chroma, self.picture * self.chroma]
@@ -99,7 +99,7 @@ impl Steps {
 }
 
 /// The cost of layers and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn, of a frame that `is_predicted` or alone.
-pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Camera) -> (LayerCost, Steps) {
+pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Camera) -> (LayerCost, StepSizes) {
     let [moves, corrections] = match (settings.turn_deg.map(|t| t.min(MAX_TURN_DEG)), is_predicted) {
         (None, false) => [1.0, 1.0],
         (None, true) => PREDICTED_FOR_ALL,
@@ -115,7 +115,7 @@ pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Ca
         std::array::from_fn(|i| FAMILY[row][i] * (FAMILY[row + 1][i] / FAMILY[row][i]).powf(part));
     let units_per_pixel = units_per_pixel(camera);
     let fine = |step: f32| (step * FINE).round().clamp(1.0, 65535.0) / FINE;
-    let steps = Steps {
+    let steps = StepSizes {
         depth: (pixels * units_per_pixel).round().clamp(1.0, 16384.0),
         opacity: fine(opacity),
         color: fine(color),
@@ -152,7 +152,7 @@ type ByTurn = [f32; MAX_TURN_DEG as usize + 1];
 pub const MAX_TURN_DEG: u8 = 10;
 /// Best quality.
 pub const MAX_QUALITY: u8 = 100;
-/// Bytes of [`Steps`].
+/// Bytes of [`StepSizes`].
 pub(super) const STEPS_BYTES: usize = 10;
 const FINE: f32 = 4096.0;
 const CHROMA: f32 = 16.0;

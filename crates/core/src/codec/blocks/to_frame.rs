@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::super::bands::split_off;
-use super::band::{Band, Cells, NO_CELLS};
+use super::band::{Band, CellPlanes, NO_CELLS};
 use super::model::{BLOCK, BLOCK_LISTS, lists_of};
 use super::reference::Reference;
 use super::scales::{roots, scales};
@@ -115,7 +115,7 @@ fn write_words_any(
 
 /// Cells as segments in the packed form.
 #[inline(always)]
-fn words_of([front, back, u, y, co, cg]: &Cells) -> [[u32; BLOCK_LISTS]; 3] {
+fn words_of([front, back, u, y, co, cg]: &CellPlanes) -> [[u32; BLOCK_LISTS]; 3] {
     let scales = scales();
     let (mut alpha, mut tau) = ([0.0; BLOCK_LISTS], [0; BLOCK_LISTS]);
     for (i, code) in u.iter().enumerate() {

@@ -1,12 +1,12 @@
 //! The planes of a chunk and their contexts, and the two sides of coding a number in one: [`PlaneRecorder`] and [`PlaneReader`].
 
 use super::rans::{
-    BitReader, BitWriter, Counts, DecodeTable, EncodeTables, Frequencies, Stream, TOKENS, TokenWriter,
+    BitReader, BitWriter, TokenCounts, DecodeTable, EncodeTables, Frequencies, TokenStream, TOKENS, TokenWriter,
     frequencies, frequency_bits, token,
 };
 
 /// One side of coding a plane: walks over the segments call this for every number, in the same order on both sides.
-pub(super) trait Plane: Default {
+pub(super) trait PlaneCoder: Default {
     /// Codes a number in a context. An encoder asks for it, a decoder tells it. `IS_SMALL` says that most are below 16.
     fn code<const IS_SMALL: bool>(&mut self, context: usize, given: impl FnOnce() -> u32) -> u32;
 }
@@ -34,13 +34,13 @@ impl Default for Recorder {
 /// The numbers of a plane.
 #[derive(Default)]
 pub(super) struct PlaneRecorder {
-    counts: Vec<Counts>,
+    counts: Vec<TokenCounts>,
     /// Context and token of each number.
     symbols: Vec<u16>,
     raw: BitWriter,
 }
 
-impl Plane for PlaneRecorder {
+impl PlaneCoder for PlaneRecorder {
     #[inline(always)]
     fn code<const IS_SMALL: bool>(&mut self, context: usize, given: impl FnOnce() -> u32) -> u32 {
         let number = given();
@@ -129,14 +129,14 @@ impl Recorder {
 
 /// Contexts that share a table.
 struct Sharing {
-    counts: Counts,
+    counts: TokenCounts,
     frequencies: Frequencies,
     /// What the table and the tokens coded with it take.
     bits: f32,
 }
 
 impl Sharing {
-    fn new(counts: Counts) -> Self {
+    fn new(counts: TokenCounts) -> Self {
         let frequencies = frequencies(&counts);
         if counts.iter().all(|&c| c == 0) {
             return Self { counts, frequencies, bits: 0.0 };
@@ -147,7 +147,7 @@ impl Sharing {
     }
 }
 
-fn sum(a: &Counts, b: &Counts) -> Counts {
+fn sum(a: &TokenCounts, b: &TokenCounts) -> TokenCounts {
     std::array::from_fn(|i| a[i] + b[i])
 }
 
@@ -155,10 +155,10 @@ fn sum(a: &Counts, b: &Counts) -> Counts {
 #[derive(Default)]
 pub(super) struct PlaneReader<'a> {
     tables: Vec<DecodeTable>,
-    stream: Stream<'a>,
+    stream: TokenStream<'a>,
 }
 
-impl Plane for PlaneReader<'_> {
+impl PlaneCoder for PlaneReader<'_> {
     #[inline(always)]
     fn code<const IS_SMALL: bool>(&mut self, context: usize, _: impl FnOnce() -> u32) -> u32 {
         let table = &self.tables[context];
@@ -190,7 +190,7 @@ pub(super) fn readers<'a>(
             };
             reader.tables.push(table);
         }
-        reader.stream = Stream::new(parts[1 + 2 * plane], parts[2 + 2 * plane]);
+        reader.stream = TokenStream::new(parts[1 + 2 * plane], parts[2 + 2 * plane]);
     }
     if bits.ended() { Ok(readers) } else { Err("too long or too short") }
 }

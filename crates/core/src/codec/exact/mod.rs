@@ -96,10 +96,10 @@ pub(super) fn decode(
             let words = words.each_mut().map(|words| split_off(words, chunk.num_segments));
             let first = offset;
             offset += chunk.num_segments as u32;
-            Band { chunk, first, ends, words }
+            OpenBand { chunk, first, ends, words }
         })
         .collect();
-    bands.par_iter_mut().with_max_len(1).try_for_each(|Band { chunk, first, ends, words }| {
+    bands.par_iter_mut().with_max_len(1).try_for_each(|OpenBand { chunk, first, ends, words }| {
         let mut last = *first;
         for (end, &count) in ends.iter_mut().zip(&chunk.counts) {
             last += u32::from(count);
@@ -111,7 +111,7 @@ pub(super) fn decode(
 }
 
 /// A band that is decoded, and where it goes.
-struct Band<'a, 'b> {
+struct OpenBand<'a, 'b> {
     chunk: Opened<'a>,
     /// Number of its first segment in the frame.
     first: u32,

@@ -9,12 +9,12 @@ use super::super::error::{CodecError, at_most};
 use super::super::header::{ChunkHeader, HEADER_BYTES, TILE, num_tiles};
 use super::super::limits::MAX_CHUNK_SEGMENTS;
 use super::contexts::{
-    DIRECTORY_BYTES, LENGTHS, NUM_PARTS, NUM_PLANES, PLANE_NAMES, Plane, PlaneReader, Recorder, parts,
+    DIRECTORY_BYTES, LENGTHS, NUM_PARTS, NUM_PLANES, PLANE_NAMES, PlaneCoder, PlaneReader, Recorder, parts,
     readers,
 };
 use super::predict::{self, Misordered};
-use super::quantize::Lists;
-use super::rows::{Matter, Rows};
+use super::quantize::CodedLists;
+use super::rows::{SegmentCodes, ListRows};
 use super::scale::scale;
 use crate::camera::Intrinsics;
 
@@ -26,8 +26,8 @@ pub(super) fn rows_of(borders: Borders, band: usize, height: u32) -> Range<usize
 }
 
 /// Encodes the lists of one chunk, which are `width` to a row: the payload behind the borders of bands.
-pub(super) fn encode(lists: &mut Lists, width: usize) -> Result<Vec<u8>, CodecError> {
-    let Lists { counts, codes } = lists;
+pub(super) fn encode(lists: &mut CodedLists, width: usize) -> Result<Vec<u8>, CodecError> {
+    let CodedLists { counts, codes } = lists;
     at_most("segments in a chunk", codes.len(), MAX_CHUNK_SEGMENTS)?;
     let tiles = Tiles::of_lists(counts, width);
     let mut payload = tiles.bits.clone();
@@ -36,7 +36,7 @@ pub(super) fn encode(lists: &mut Lists, width: usize) -> Result<Vec<u8>, CodecEr
     }
     RECORDER.with_borrow_mut(|recorder| {
         walk_lengths(&mut recorder.planes[LENGTHS], &tiles, counts, width);
-        let mut rows = Rows::new(scale(), counts, width);
+        let mut rows = ListRows::new(scale(), counts, width);
         let mut rest = &codes[..];
         for counts in counts.chunks_exact(width) {
             rows.advance(counts);
@@ -99,16 +99,16 @@ pub(super) fn decode(opened: &mut Opened<'_>, words: Words<'_>) -> Result<(), Co
     let half_tau = |q: u8| u32::from(scale.tau_half[usize::from(q)]);
     // Of a chunk without segments there may be many millions of lists.
     let counts = if *num_segments > 0 { &counts[..] } else { &[] };
-    let mut rows = Rows::new(scale, counts, width);
+    let mut rows = ListRows::new(scale, counts, width);
     let mut words = words;
     for counts in counts.chunks_exact(width) {
         rows.advance(counts);
         predict::row(readers, scale, &mut rows, counts).map_err(misordered)?;
-        let Rows { links, depths, matters, .. } = &rows;
+        let ListRows { links, depths, matters, .. } = &rows;
         let [depth, c_rg, c_b_tau] = words.each_mut().map(|plane| split_off(plane, links.len()));
         for (((link, depth), c_rg), c_b_tau) in links.iter().zip(depth).zip(c_rg).zip(c_b_tau) {
             let slot = link.slot as usize;
-            let Matter { c: [r, g, b], tau, .. } = matters[slot];
+            let SegmentCodes { c: [r, g, b], tau, .. } = matters[slot];
             *depth = depths[slot];
             *c_rg = half_c(r) | half_c(g) << 16;
             *c_b_tau = half_c(b) | half_tau(tau) << 16;
@@ -177,7 +177,7 @@ impl Tiles {
 }
 
 /// Codes the lengths of the lists, `width` to a row, of all tiles that hold any; a decoder fills them in.
-fn walk_lengths<P: Plane>(plane: &mut P, tiles: &Tiles, counts: &mut [u8], width: usize) {
+fn walk_lengths<P: PlaneCoder>(plane: &mut P, tiles: &Tiles, counts: &mut [u8], width: usize) {
     for y in 0..counts.len() / width {
         let (above, row) = counts.split_at_mut(y * width);
         let above = above.len().checked_sub(width).map_or(&[][..], |start| &above[start..]);

@@ -9,8 +9,8 @@
 
 use std::hint::{cold_path, select_unpredictable};
 
-use super::contexts::{NUM_PLANES, Plane};
-use super::rows::{Link, Matter, Rows, Tint};
+use super::contexts::{NUM_PLANES, PlaneCoder};
+use super::rows::{Neighbors, SegmentCodes, ListRows, ColorRatio};
 use super::scale::{self, MAX_COLOR_CODE, Scale};
 
 /// A segment that lies in front of the one before it in its list, or holds nothing: front, back, and the back before.
@@ -18,10 +18,10 @@ use super::scale::{self, MAX_COLOR_CODE, Scale};
 pub(super) struct Misordered(pub(super) [u32; 3]);
 
 /// Codes the segments of a row of lists of lengths `counts`. A decoder fills them in.
-pub(super) fn row<P: Plane>(
+pub(super) fn row<P: PlaneCoder>(
     planes: &mut [P; NUM_PLANES],
     scale: &Scale,
-    rows: &mut Rows,
+    rows: &mut ListRows,
     counts: &[u8],
 ) -> Result<(), Misordered> {
     #[cfg(target_arch = "x86_64")]
@@ -44,10 +44,10 @@ fn has_wide_instructions() -> bool {
 /// The same with instructions for shifts and leading zeros. No multiplication is fused with an addition.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
-fn row_wide<P: Plane>(
+fn row_wide<P: PlaneCoder>(
     planes: &mut [P; NUM_PLANES],
     scale: &Scale,
-    rows: &mut Rows,
+    rows: &mut ListRows,
     counts: &[u8],
 ) -> Result<(), Misordered> {
     passes(planes, scale, rows, counts)
@@ -56,10 +56,10 @@ fn row_wide<P: Plane>(
 /// One plane after the other where that is possible: segments of a plane hardly depend on each other, so that a processor
 /// works on several at once, while the planes of a segment each wait for the one before.
 #[inline(always)]
-fn passes<P: Plane>(
+fn passes<P: PlaneCoder>(
     planes: &mut [P; NUM_PLANES],
     scale: &Scale,
-    rows: &mut Rows,
+    rows: &mut ListRows,
     counts: &[u8],
 ) -> Result<(), Misordered> {
     let [_, front, back, tau, green, red, blue] = planes;
@@ -78,8 +78,8 @@ pub(super) fn length_context(left: u8, above: u8) -> usize {
 
 /// Codes where the segments begin and end, and notes which others each is expected to be like.
 #[inline(always)]
-fn depths<P: Plane>([fronts, backs]: [&mut P; 2], rows: &mut Rows, counts: &[u8]) -> Result<(), Misordered> {
-    let Rows { depths, links, above, own, .. } = rows;
+fn depths<P: PlaneCoder>([fronts, backs]: [&mut P; 2], rows: &mut ListRows, counts: &[u8]) -> Result<(), Misordered> {
+    let ListRows { depths, links, above, own, .. } = rows;
     let (depths, mut links) = (&mut depths[..], &mut links[..]);
     let mut left = 0;
     for ((&count, &above), &own) in counts.iter().zip(&*above).zip(&*own) {
@@ -93,12 +93,12 @@ fn depths<P: Plane>([fronts, backs]: [&mut P; 2], rows: &mut Rows, counts: &[u8]
 }
 
 #[inline(always)]
-fn list<P: Plane>(
+fn list<P: PlaneCoder>(
     [fronts, backs]: [&mut P; 2],
     depths: &mut [u32],
     [mut left, mut above]: [usize; 2],
     own: usize,
-    links: &mut [Link],
+    links: &mut [Neighbors],
 ) -> Result<(), Misordered> {
     let mut last_back = 0;
     let last = links.len() - 1;
@@ -142,7 +142,7 @@ fn list<P: Plane>(
         let a = select_unpredictable(is_left, like_left, other);
         let b = select_unpredictable(is_above, like_above, a);
         let kind = KINDS[usize::from(is_first)][usize::from(is_left) + usize::from(is_above)];
-        *link = Link {
+        *link = Neighbors {
             slot: slot as u32,
             like: [a as u32, b as u32],
             thickness: (back - front) as u16,
@@ -248,8 +248,8 @@ fn agreed(a: u32, b: u32, otherwise: u32) -> (usize, u32) {
 
 /// Codes the optical depths.
 #[inline(always)]
-fn optical_depths<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
-    let Rows { matters, links, .. } = rows;
+fn optical_depths<P: PlaneCoder>(plane: &mut P, scale: &Scale, rows: &mut ListRows) {
+    let ListRows { matters, links, .. } = rows;
     let (matters, mut coder) = (&mut matters[..], std::mem::take(plane));
     // Transmittance in front of the segment.
     let mut kappa = 1.0f32;
@@ -283,14 +283,14 @@ fn optical_depths<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
 
 /// Codes the green channel, and expects the others.
 #[inline(always)]
-fn greens<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
-    let Rows { matters, links, tints, .. } = rows;
+fn greens<P: PlaneCoder>(plane: &mut P, scale: &Scale, rows: &mut ListRows) {
+    let ListRows { matters, links, tints, .. } = rows;
     let (matters, mut coder) = (&mut matters[..], std::mem::take(plane));
     let max_code = u32::from(MAX_COLOR_CODE);
     let most = max_code << 6;
     for (link, tint) in links.iter().zip(tints) {
         let slot = link.slot as usize;
-        let Matter { tau, c: [_, given, _], .. } = matters[slot];
+        let SegmentCodes { tau, c: [_, given, _], .. } = matters[slot];
         // The neighbours' source colour, in 64ths.
         let times = link.like.map(|like| scale.times(matters[like as usize].inverse_sqrt_alpha, tau));
         let a = source(matters, link.like[0], times[0], 1);
@@ -303,15 +303,15 @@ fn greens<P: Plane>(plane: &mut P, scale: &Scale, rows: &mut Rows) {
         let turned_out = ((u32::from(green) << 18) / expected.max(1)).min(0xffff);
         let turned_out = select_unpredictable(expected > 64, turned_out, 1 << 12);
         let alone = u16::from(context > 8) * 8;
-        *tint = Tint { times, turned_out, coded: coded as u16, alone };
+        *tint = ColorRatio { times, turned_out, coded: coded as u16, alone };
     }
     *plane = coder;
 }
 
 /// Codes the two other channels.
 #[inline(always)]
-fn reds_and_blues<P: Plane>(planes: [&mut P; 2], rows: &mut Rows) {
-    let Rows { matters, links, tints, .. } = rows;
+fn reds_and_blues<P: PlaneCoder>(planes: [&mut P; 2], rows: &mut ListRows) {
+    let ListRows { matters, links, tints, .. } = rows;
     let [red_plane, blue_plane] = planes;
     let (mut reds, mut blues) = (std::mem::take(red_plane), std::mem::take(blue_plane));
     let max_code = u32::from(MAX_COLOR_CODE);
@@ -338,11 +338,11 @@ fn reds_and_blues<P: Plane>(planes: [&mut P; 2], rows: &mut Rows) {
 
 /// A channel of a segment, in half of 64ths, so many times brighter.
 #[inline(always)]
-fn source(matters: &[Matter], like: u32, times: u32, channel: usize) -> u32 {
+fn source(matters: &[SegmentCodes], like: u32, times: u32, channel: usize) -> u32 {
     (u32::from(matters[like as usize].c[channel]) * times) >> 11
 }
 
-impl Link {
+impl Neighbors {
     /// The context of what two neighbours expect with such a difference.
     #[inline(always)]
     fn context(&self, difference: u32) -> usize {
@@ -353,7 +353,7 @@ impl Link {
 
 /// Codes a colour channel: its code, and the number that was coded.
 #[inline(always)]
-fn channel<P: Plane>(coder: &mut P, max_code: u32, context: usize, expected: u32, given: u16) -> (u16, u32) {
+fn channel<P: PlaneCoder>(coder: &mut P, max_code: u32, context: usize, expected: u32, given: u16) -> (u16, u32) {
     let expected = expected.min(max_code);
     let coded = coder.code::<false>(context, || zigzag(u32::from(given).wrapping_sub(expected)));
     ((expected.wrapping_add(unzigzag(coded)) & max_code) as u16, coded)
@@ -384,7 +384,7 @@ fn unzigzag(number: u32) -> u32 {
 const NONE: u32 = 0xffff;
 /// Contexts of a front behind another segment, by what the left (in steps of 4) and the upper neighbour have there.
 const GAP_CONTEXT: [u8; 12] = [15, 16, 19, 0, 16, 17, 18, 0, 19, 18, 20, 0];
-/// [`Link::kind`] of segments behind another and of first ones, by the number of neighbours that are alike.
+/// [`Neighbors::kind`] of segments behind another and of first ones, by the number of neighbours that are alike.
 const KINDS: [[u8; 3]; 2] = [[10, 9, 0], [11, 9, 0]];
 /// Depths that differ by less are of the same surface.
 const AGREE: u32 = 6;

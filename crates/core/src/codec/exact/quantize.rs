@@ -30,13 +30,13 @@ pub(super) struct Code {
 
 /// Consecutive lists: their lengths, and their segments one list after the other.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Lists {
+pub(super) struct CodedLists {
     pub(super) counts: Vec<u8>,
     pub(super) codes: Vec<Code>,
 }
 
 /// Quantises the lists of a band.
-pub(super) fn band(frame: &LayeredFrame, lists: Range<usize>) -> Lists {
+pub(super) fn band(frame: &LayeredFrame, lists: Range<usize>) -> CodedLists {
     let num_segments = (frame.offsets[lists.end] - frame.offsets[lists.start]) as usize;
     let mut counts = Vec::with_capacity(lists.len());
     let mut codes = vec![Code::default(); num_segments];
@@ -51,7 +51,7 @@ pub(super) fn band(frame: &LayeredFrame, lists: Range<usize>) -> Lists {
         counts.push(segments.len() as u8);
         quantize(frame, segments.start, scale(), split_off(&mut rest, segments.len()));
     }
-    Lists { counts, codes }
+    CodedLists { counts, codes }
 }
 
 fn quantize_list(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Code]) {

@@ -6,7 +6,7 @@
 //! the 4096 slots are 64 buckets of 64, and a bucket holds the slots of its own token and of one other. A table is about a
 //! kilobyte, so those in use stay in the first caches, and finding a token takes no search and no branch.
 //!
-//! Decoding is total: a state is any number, a stream that has ended gives zeros, and [`Stream::ended`] says in
+//! Decoding is total: a state is any number, a stream that has ended gives zeros, and [`TokenStream::ended`] says in
 //! the end whether it was the one that an encoder made.
 
 use std::hint::select_unpredictable;
@@ -28,7 +28,7 @@ const LEAST_STATE: u32 = 1 << 16;
 const SMALL: u32 = 16;
 
 /// How often each token occurs.
-pub(super) type Counts = [u32; TOKENS];
+pub(super) type TokenCounts = [u32; TOKENS];
 /// Frequencies of the tokens, summing to 2¹².
 pub(super) type Frequencies = [u16; TOKENS];
 
@@ -60,7 +60,7 @@ static NUMBERS: [u32; TOKENS] = {
 };
 
 /// Frequencies in proportion to the counts; every token that occurs has one. Without any count, those of token 0 alone.
-pub(super) fn frequencies(counts: &Counts) -> Frequencies {
+pub(super) fn frequencies(counts: &TokenCounts) -> Frequencies {
     let total: u64 = counts.iter().map(|&c| u64::from(c)).sum();
     let mut out = [0; TOKENS];
     if total == 0 {
@@ -429,21 +429,21 @@ fn last_word(bytes: &[u8], byte: usize) -> u32 {
 }
 
 /// The numbers of a plane, read from its tokens and raw bits.
-pub(super) struct Stream<'a> {
+pub(super) struct TokenStream<'a> {
     state: u32,
     words: &'a [[u8; 2]],
     at: usize,
     raw: BitReader<'a>,
 }
 
-impl Default for Stream<'_> {
+impl Default for TokenStream<'_> {
     /// Without numbers.
     fn default() -> Self {
         Self { state: LEAST_STATE, words: &[], at: 0, raw: BitReader::default() }
     }
 }
 
-impl<'a> Stream<'a> {
+impl<'a> TokenStream<'a> {
     /// At the first number. `tokens` is what [`TokenWriter::finish`] gave, `raw` what [`BitWriter::finish`] did.
     pub(super) fn new(tokens: &'a [u8], raw: &'a [u8]) -> Self {
         let (state, words) = tokens.split_first_chunk().unwrap_or((&[0; 4], &[]));

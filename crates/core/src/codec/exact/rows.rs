@@ -10,7 +10,7 @@ use super::scale::{LEAST_LOG_EXTINCTION, Scale};
 /// What a segment holds, quantised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(align(16))]
-pub(super) struct Matter {
+pub(super) struct SegmentCodes {
     pub(super) c: [u16; 3],
     pub(super) tau: u8,
     /// log₂ of the extinction, which follows from τ and the depths: that of τ less that of the thickness.
@@ -21,7 +21,7 @@ pub(super) struct Matter {
 
 /// Where a segment is, and the segments that it is expected to be like.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Link {
+pub(super) struct Neighbors {
     pub(super) slot: u32,
     pub(super) like: [u32; 2],
     pub(super) thickness: u16,
@@ -32,7 +32,7 @@ pub(super) struct Link {
 
 /// What a segment's green tells of red and blue.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Tint {
+pub(super) struct ColorRatio {
     /// How many times brighter it is than the two that it is expected to be like, in 2⁻¹⁶.
     pub(super) times: [u32; 2],
     /// Green as it is by green as it was expected, in 2⁻¹².
@@ -44,14 +44,14 @@ pub(super) struct Tint {
 }
 
 /// Two rows of lists.
-pub(super) struct Rows {
+pub(super) struct ListRows {
     /// Front in the low, back in the high 16 bits; [`NOTHING`] for none.
     pub(super) depths: Vec<u32>,
-    pub(super) matters: Vec<Matter>,
+    pub(super) matters: Vec<SegmentCodes>,
     /// Those of the row that is coded, in order.
-    pub(super) links: Vec<Link>,
+    pub(super) links: Vec<Neighbors>,
     /// The same.
-    pub(super) tints: Vec<Tint>,
+    pub(super) tints: Vec<ColorRatio>,
     /// Number of the first segment of each list, above and of the row that is coded; 0 for an empty list.
     pub(super) above: Vec<u32>,
     pub(super) own: Vec<u32>,
@@ -61,13 +61,13 @@ pub(super) struct Rows {
     first: usize,
 }
 
-impl Rows {
+impl ListRows {
     /// For rows of such lists, `width` to a row, beginning above the first one.
     pub(super) fn new(scale: &Scale, counts: &[u8], width: usize) -> Self {
         let of_list = |&count: &u8| if count > 0 { usize::from(count) + SPACE } else { 0 };
         let of_row = |row: &[u8]| row.iter().map(of_list).sum();
         let capacity = counts.chunks_exact(width).map(of_row).max().unwrap_or(0);
-        let nothing = Matter {
+        let nothing = SegmentCodes {
             c: [0; 3],
             tau: 0,
             log_extinction: LEAST_LOG_EXTINCTION,
@@ -100,8 +100,8 @@ impl Rows {
                 self.depths[next - SPACE..next].fill(NOTHING);
             }
         }
-        self.links.resize(num_segments, Link::default());
-        self.tints.resize(num_segments, Tint::default());
+        self.links.resize(num_segments, Neighbors::default());
+        self.tints.resize(num_segments, ColorRatio::default());
     }
 
     /// Puts segments, one list after the other, in the row.

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::super::band::Planes;
 use super::super::entropy::Coder;
 use super::super::model::{BLOCK, DepthPlane, MAX_LAYERS};
-use super::super::steps::Steps;
+use super::super::steps::StepSizes;
 use super::super::syntax::{DEPTH_CONTEXTS, count_class};
 use super::BandCoder;
 
@@ -105,7 +105,7 @@ pub(super) fn bounded(z: f32, dx: f32, dy: f32) -> DepthPlane {
     DepthPlane { z: z.clamp(-MAX_DEPTH, MAX_DEPTH), dx: slope(dx), dy: slope(dy) }
 }
 
-impl Steps {
+impl StepSizes {
     /// The plane of a code.
     fn plane(&self, code: PlaneCode) -> DepthPlane {
         let slope = self.depth * 0.25;

@@ -15,7 +15,7 @@ use super::{BandCoder, Origin};
 use crate::kernels::raycast::opacity;
 
 /// The block that a layer is in.
-pub(super) struct Around {
+pub(super) struct BlockContext {
     pub(super) x: usize,
     pub(super) y: usize,
     pub(super) origin: Origin,
@@ -26,7 +26,7 @@ pub(super) struct Around {
 
 /// What later blocks and layers want to know of a layer.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Coded {
+pub(super) struct CodedLayer {
     pub(super) means: [f32; 4],
     pub(super) classes: [u8; 4],
     /// The lists with matter.
@@ -38,11 +38,11 @@ impl<C: Coder> BandCoder<'_, C> {
     pub(super) fn layer(
         &mut self,
         layer: usize,
-        around: &Around,
+        around: &BlockContext,
         wanted: Option<&BlockLayer>,
         mask_before: &mut Option<u64>,
-    ) -> Coded {
-        let &Around { x, y, origin, first_layer, ref neighbors } = around;
+    ) -> CodedLayer {
+        let &BlockContext { x, y, origin, first_layer, ref neighbors } = around;
         let planes = self.band.planes[layer];
         let in_front = layer.checked_sub(1).filter(|&l| l >= first_layer).map(|l| self.layers[l]);
         let expected = self.fetch((x, y), &planes);
@@ -105,7 +105,7 @@ impl<C: Coder> BandCoder<'_, C> {
         let lists = || lists_of(mask);
         let num_lists = mask.count_ones() as f32;
         let kappa = lists().map(|i| self.lists.kappa[i]).sum::<f32>() / num_lists;
-        let mut coded = Coded { means, classes: [0; 4], mask };
+        let mut coded = CodedLayer { means, classes: [0; 4], mask };
         let beside = numbers.map(|n| n.and_then(|l| self.edges.get(l)));
         let mut edges = [Edges::default(); 4];
         if is_inter {
@@ -176,11 +176,11 @@ impl<C: Coder> BandCoder<'_, C> {
     }
 
     /// A layer without matter.
-    pub(super) fn nothing(&mut self, means: [f32; 4]) -> Coded {
+    pub(super) fn nothing(&mut self, means: [f32; 4]) -> CodedLayer {
         if self.has_edges {
             self.edges.push(means.map(Edges::flat));
         }
-        Coded { means, classes: [0; 4], mask: 0 }
+        CodedLayer { means, classes: [0; 4], mask: 0 }
     }
 
     /// Fetches what the reference has between two planes; the lists that have any.
@@ -205,7 +205,7 @@ impl<C: Coder> BandCoder<'_, C> {
     }
 
     /// Whether the moved reference is nearer to the source than a constant is.
-    fn is_inter_better(&self, sources: &[Plane; 4], means: &[f32; 4], mask: u64) -> bool {
+    fn is_inter_better(&self, sources: &[BlockPlane; 4], means: &[f32; 4], mask: u64) -> bool {
         let lists = || lists_of(mask);
         let (mut intra, mut inter) = (0.0, 0.0);
         for c in 0..2 {
@@ -222,16 +222,16 @@ impl<C: Coder> BandCoder<'_, C> {
 
 wide! {
     /// Codes of opacities.
-    fn codes_of(values: &Plane, codes: &mut [u16; BLOCK_LISTS]) = codes_of_any;
+    fn codes_of(values: &BlockPlane, codes: &mut [u16; BLOCK_LISTS]) = codes_of_any;
 }
 
 wide! {
     /// u, Y, Co, Cg of a layer's lists; those outside of `mask` mean nothing.
-    fn planes_of(layer: &BlockLayer, mask: u64) -> [Plane; 4] = planes_of_any;
+    fn planes_of(layer: &BlockLayer, mask: u64) -> [BlockPlane; 4] = planes_of_any;
 }
 
 #[inline(always)]
-fn codes_of_any(values: &Plane, codes: &mut [u16; BLOCK_LISTS]) {
+fn codes_of_any(values: &BlockPlane, codes: &mut [u16; BLOCK_LISTS]) {
     let scales = scales();
     for (code, u) in codes.iter_mut().zip(values) {
         *code = scales.code(*u);
@@ -239,7 +239,7 @@ fn codes_of_any(values: &Plane, codes: &mut [u16; BLOCK_LISTS]) {
 }
 
 #[inline(always)]
-fn planes_of_any(layer: &BlockLayer, mask: u64) -> [Plane; 4] {
+fn planes_of_any(layer: &BlockLayer, mask: u64) -> [BlockPlane; 4] {
     let mut planes = [[0.0; BLOCK_LISTS]; 4];
     let [u, y, co, cg] = &mut planes;
     for i in 0..BLOCK_LISTS {

@@ -5,16 +5,16 @@ mod depth;
 mod layer;
 
 use super::super::error::{CodecError, at_most};
-use super::band::{Band, Lists, Planes};
+use super::band::{Band, OpenBlock, Planes};
 use super::edges::EdgeRows;
 use super::entropy::Coder;
 use super::model::{BLOCK, BandPlace, BlockLayer, DepthPlane};
-use super::motion::{Motion, Shift};
+use super::motion::{CameraMotion, Shift};
 use super::reference::{Fetched, HALF, Reference};
-use super::steps::Steps;
+use super::steps::StepSizes;
 use super::syntax::Contexts;
 use depth::{bounded, continued};
-use layer::{Around, Coded};
+use layer::{BlockContext, CodedLayer};
 
 pub(super) use depth::PlaneCode;
 
@@ -57,9 +57,9 @@ pub(super) trait BlockSource {
 }
 
 /// The source of a decoder.
-pub(super) struct Nothing;
+pub(super) struct NoSource;
 
-impl BlockSource for Nothing {
+impl BlockSource for NoSource {
     fn plan(&mut self, _: usize, _: usize, _: &dyn Fn(Origin, &mut Vec<Planes>) -> bool, _: &mut Plan) {}
 }
 
@@ -67,19 +67,19 @@ impl BlockSource for Nothing {
 pub(super) struct BandCoder<'a, C> {
     pub(super) coder: C,
     contexts: Box<Contexts>,
-    steps: Steps,
+    steps: StepSizes,
     place: BandPlace,
-    reference: Option<(&'a Reference, Motion)>,
+    reference: Option<(&'a Reference, CameraMotion)>,
     band: Band,
     /// Beside the planes of the band.
-    layers: Vec<Coded>,
+    layers: Vec<CodedLayer>,
     /// Whether planes are predicted from the edges of those beside, and these edges. The few planes of a predicted frame that
     /// are not predicted from its reference would be predicted worse.
     has_edges: bool,
     edges: EdgeRows,
     /// How each block came to its planes.
     origins: Vec<Origin>,
-    lists: Lists,
+    lists: OpenBlock,
     fetched: Fetched,
     offered: Vec<Planes>,
 }
@@ -87,9 +87,9 @@ pub(super) struct BandCoder<'a, C> {
 impl<'a, C: Coder> BandCoder<'a, C> {
     pub(super) fn new(
         coder: C,
-        steps: Steps,
+        steps: StepSizes,
         place: BandPlace,
-        reference: Option<(&'a Reference, Motion)>,
+        reference: Option<(&'a Reference, CameraMotion)>,
         num_cells: usize,
     ) -> Self {
         Self {
@@ -103,7 +103,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             has_edges: reference.is_none(),
             edges: EdgeRows::default(),
             origins: Vec::new(),
-            lists: Lists::default(),
+            lists: OpenBlock::default(),
             fetched: Fetched::new(),
             offered: Vec::new(),
         }
@@ -205,7 +205,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             }
             self.offered = planes;
             let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.band.layers(b)));
-            let around = Around { x, y, origin, first_layer: first_plane, neighbors };
+            let around = BlockContext { x, y, origin, first_layer: first_plane, neighbors };
             let mut mask_before = None;
             for layer in first_plane..self.band.planes.len() {
                 let wanted = plan.layers.get(layer - first_plane);

@@ -3,8 +3,8 @@
 use glam::Vec3;
 
 use super::super::model::{BLOCK, BlockLayer, DepthPlane};
-use super::lists::{BlockLists, Collected, TAU_MIN, Walk};
-use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, Lists, SAMPLES, Sample, greater, lesser, select, sum};
+use super::lists::{BlockLists, Collected, TAU_MIN, ListWalk};
+use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, ListSubset, SAMPLES, SampleColumn, greater, lesser, select, sum};
 use crate::kernels::raycast::opacity;
 use crate::layer::TAU_MAX;
 
@@ -13,14 +13,14 @@ use crate::layer::TAU_MAX;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assigned {
     /// Those of the first `num` are of the layers.
-    cells: Vec<Cells>,
+    cells: Vec<AssignedLayer>,
     num: usize,
 }
 
 /// What the lists have in a layer.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-struct Cells {
+struct AssignedLayer {
     /// Which have anything. Of the others, only the opacity counts: 0.
     mask: u64,
     front: Column,
@@ -31,9 +31,9 @@ struct Cells {
 }
 
 const ZERO: Column = [0.0; BLOCK_LISTS];
-const NO_CELLS: Cells = Cells { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3] };
+const NO_CELLS: AssignedLayer = AssignedLayer { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3] };
 
-impl Cells {
+impl AssignedLayer {
     /// What lists from `first` on have collected between two places, the first in or in front of pieces with the source
     /// colours `e`; `pieces` are the numbers of the pieces at both. Returns the lists, bit by bit, whose colours are not known
     /// yet: the difference of two that hardly differ is but rounding.
@@ -43,7 +43,7 @@ impl Cells {
         first: usize,
         from: &Collected,
         to: &Collected,
-        e: &[Sample; 3],
+        e: &[SampleColumn; 3],
         pieces: [&[u32; SAMPLES]; 2],
     ) -> u64 {
         let slots = first..first + SAMPLES;
@@ -94,10 +94,10 @@ impl Assigned {
     #[inline(always)]
     pub(super) fn put_all<const HAS_COLORS: bool>(
         &mut self,
-        walk: &mut Walk,
+        walk: &mut ListWalk,
         lists: &BlockLists,
         planes: &[(DepthPlane, DepthPlane)],
-        of: &impl Lists,
+        of: &impl ListSubset,
     ) {
         self.num = planes.len();
         self.cells.resize(self.cells.len().max(self.num), NO_CELLS);
@@ -144,7 +144,7 @@ impl Assigned {
         &mut self,
         slopes: [f32; 2],
         planes: &mut Vec<(DepthPlane, DepthPlane)>,
-        of: &impl Lists,
+        of: &impl ListSubset,
     ) {
         let mut kept = 0;
         let mut kappa = [1.0; BLOCK_LISTS];
@@ -169,7 +169,7 @@ impl Assigned {
 
 /// Where layer `n` ends in some lists.
 #[inline(always)]
-pub(super) fn borders(planes: &[(DepthPlane, DepthPlane)], n: usize, lists: &[usize; SAMPLES]) -> Sample {
+pub(super) fn borders(planes: &[(DepthPlane, DepthPlane)], n: usize, lists: &[usize; SAMPLES]) -> SampleColumn {
     match planes.get(n + 1) {
         None => [f32::MAX; SAMPLES],
         Some((next, _)) => lists.map(|i| 0.5 * (planes[n].1.at(i) + next.at(i))),
@@ -178,7 +178,7 @@ pub(super) fn borders(planes: &[(DepthPlane, DepthPlane)], n: usize, lists: &[us
 
 /// How much the ends of each of `num` lists are worth to a plane.
 #[inline(always)]
-fn weights(cells: &Cells, kappa: &Column, num: usize) -> Column {
+fn weights(cells: &AssignedLayer, kappa: &Column, num: usize) -> Column {
     let mut weights = [0.0; BLOCK_LISTS];
     for i in 0..num {
         // The small addend lets a list that is all but clear have a say where no other has.
@@ -190,7 +190,7 @@ fn weights(cells: &Cells, kappa: &Column, num: usize) -> Column {
 
 /// The plane through depths `z` with least squared distance, its slopes held back to these.
 #[inline(always)]
-fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl Lists) -> DepthPlane {
+fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl ListSubset) -> DepthPlane {
     let middle = (BLOCK as f32 - 1.0) / 2.0;
     let [w, wx, wy, wz] = sum(of.num(), |slot| {
         let i = of.list(slot);

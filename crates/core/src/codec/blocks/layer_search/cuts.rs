@@ -1,15 +1,15 @@
 //! The cuts of a block: many candidates, of which the least needed are dropped.
 
-use super::lists::{BlockLists, Collected, Walk};
+use super::lists::{BlockLists, Collected, ListWalk};
 use super::{
-    BLOCK, BLOCK_LISTS, KAPPA_FLOOR, LayerCost, MAX_LAYERS, SAMPLES, Sample, fourth_root, greater, lesser,
+    BLOCK, BLOCK_LISTS, KAPPA_FLOOR, LayerCost, MAX_LAYERS, SAMPLES, SampleColumn, fourth_root, greater, lesser,
     power_5_4, select, sum,
 };
 use crate::kernels::raycast::opacity;
 
 /// Scratch memory of the search for cuts.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Merge {
+pub(super) struct CutSearch {
     /// Candidate cuts, sheared, and what is collected up to them.
     cuts: Vec<f32>,
     rows: Vec<Collected>,
@@ -63,10 +63,10 @@ pub(super) fn slopes(lists: &BlockLists) -> [f32; 2] {
     })
 }
 
-impl Merge {
+impl CutSearch {
     /// Depths where layers begin, along planes with the slopes of the walk's shear.
     #[inline(always)]
-    pub(super) fn cuts(&mut self, walk: &mut Walk, lists: &BlockLists, cost: &LayerCost) -> &[f32] {
+    pub(super) fn cuts(&mut self, walk: &mut ListWalk, lists: &BlockLists, cost: &LayerCost) -> &[f32] {
         self.candidates(lists, &walk.shear);
         self.collect(walk, lists);
         self.groups.clear();
@@ -113,7 +113,7 @@ impl Merge {
 
     /// Candidate cuts: behind quantiles of the ends of segments, to a bin.
     #[inline(always)]
-    fn candidates(&mut self, lists: &BlockLists, shear: &Sample) {
+    fn candidates(&mut self, lists: &BlockLists, shear: &SampleColumn) {
         let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
         for (i, shear) in shear.iter().enumerate() {
             if let [first, ..] = lists.list(lists.sampled(i)) {
@@ -159,7 +159,7 @@ impl Merge {
 
     /// Fills in the rows of all cuts.
     #[inline(always)]
-    fn collect(&mut self, walk: &mut Walk, lists: &BlockLists) {
+    fn collect(&mut self, walk: &mut ListWalk, lists: &BlockLists) {
         self.rows.resize(self.cuts.len().max(self.rows.len()), Collected::NOTHING);
         walk.start(lists, &std::array::from_fn(|i| lists.sampled(i)));
         for (cut, row) in self.cuts.iter().zip(&mut self.rows) {
@@ -199,7 +199,7 @@ impl Merge {
 
     /// Fills in what a union of the group `index` with the next would cost.
     #[inline(always)]
-    fn weigh(&mut self, index: usize, slope: &Sample) {
+    fn weigh(&mut self, index: usize, slope: &SampleColumn) {
         let (a, b) = (self.groups[index], self.groups[index + 1]);
         let rows = [a.from, a.to, b.from, b.to].map(|row| &self.rows[row]);
         let misfit_of_union = misfit(rows[0], rows[3], slope);
@@ -237,7 +237,7 @@ pub(super) fn weight(kappa: f32, slope: f32) -> f32 {
 
 /// How far the spread of fronts and backs about their means is from flat.
 #[inline(always)]
-fn misfit(front: &Collected, back: &Collected, slope: &Sample) -> f32 {
+fn misfit(front: &Collected, back: &Collected, slope: &SampleColumn) -> f32 {
     let mut w = [0.0; SAMPLES];
     for (i, w) in w.iter_mut().enumerate() {
         let alpha = 1.0 - back.kappa[i] * front.per_kappa[i];
@@ -261,7 +261,7 @@ fn misfit(front: &Collected, back: &Collected, slope: &Sample) -> f32 {
 /// How far matter moves when what lies between the first two rows becomes one medium with what lies between the last
 /// two.
 #[inline(always)]
-fn joined(rows: [&Collected; 4], slope: &Sample) -> f32 {
+fn joined(rows: [&Collected; 4], slope: &SampleColumn) -> f32 {
     let mut moved = [0.0; SAMPLES];
     for (i, moved) in moved.iter_mut().enumerate() {
         *moved = joined_in_list(rows, i) * weight(rows[0].kappa[i], slope[i]);
@@ -354,10 +354,10 @@ mod tests {
     #[test]
     fn groups_are_joined_in_pairs() {
         let group = |n| Group { from: n, to: n + 1, misfit_of_union: n as f32, ..Group::ALONE };
-        let mut merge = Merge {
+        let mut merge = CutSearch {
             groups: (0..6).map(group).collect(),
             costs: vec![1.9, 1.0, 5.0, 2.0, 1.0, f32::INFINITY],
-            ..Merge::default()
+            ..CutSearch::default()
         };
         merge.join(2.0);
         let found: Vec<_> = merge.groups.iter().map(|g| (g.from, g.to, g.is_stale)).collect();

@@ -1,7 +1,7 @@
 //! The lists of a block as curves: what a ray along a list has collected up to a depth.
 
 use super::super::model::{BLOCK, BLOCK_LISTS};
-use super::{Column, SAMPLES, Sample, greater, lesser, select};
+use super::{Column, SAMPLES, SampleColumn, greater, lesser, select};
 use crate::kernels::raycast::{opacity, transmittance};
 use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
 
@@ -11,7 +11,7 @@ use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
 pub(in crate::codec::blocks) struct BlockLists {
     /// The pieces of list `i` are `starts[i]..starts[i + 1]`, of which the last is what is behind all matter.
     starts: [u32; BLOCK_LISTS + 1],
-    pieces: Vec<Piece>,
+    pieces: Vec<ListPiece>,
     /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
     pub(super) slope: Column,
     /// Of red, green and blue that a list composites to.
@@ -49,25 +49,25 @@ type RowOf<T> = [T; BLOCK * MAX_K];
 /// A segment and what is in front of it.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(align(64))]
-pub(super) struct Piece {
+pub(super) struct ListPiece {
     pub(super) front: f32,
     pub(super) back: f32,
     /// Optical depth of a depth unit.
     rate: f32,
     /// Source colour C/α.
     e: [f32; 3],
-    before: Before,
+    before: CollectedBefore,
 }
 
 /// What a ray has collected before a piece.
 #[derive(Clone, Copy, Debug)]
-struct Before {
+struct CollectedBefore {
     tau: f32,
     kappa: f32,
     c: [f32; 3],
 }
 
-impl Default for Before {
+impl Default for CollectedBefore {
     fn default() -> Self {
         Self { tau: 0.0, kappa: 1.0, c: [0.0; 3] }
     }
@@ -75,7 +75,7 @@ impl Default for Before {
 
 impl Default for BlockLists {
     fn default() -> Self {
-        let behind = Piece { front: f32::INFINITY, back: f32::INFINITY, ..Piece::default() };
+        let behind = ListPiece { front: f32::INFINITY, back: f32::INFINITY, ..ListPiece::default() };
         Self {
             starts: std::array::from_fn(|i| i as u32),
             pieces: vec![behind; BLOCK_LISTS],
@@ -133,16 +133,16 @@ impl Unpacked {
 
     /// Segment `i`, its opacity as seen, and what is collected before the next.
     #[inline(always)]
-    fn piece(&self, i: usize, before: Before) -> (Piece, f32, Before) {
+    fn piece(&self, i: usize, before: CollectedBefore) -> (ListPiece, f32, CollectedBefore) {
         let i = i % (BLOCK * MAX_K);
-        let piece = Piece {
+        let piece = ListPiece {
             front: self.front[i],
             back: self.back[i],
             rate: self.rate[i],
             e: [self.e[0][i], self.e[1][i], self.e[2][i]],
             before,
         };
-        let behind = Before {
+        let behind = CollectedBefore {
             tau: before.tau + self.tau[i],
             kappa: before.kappa * self.kappa[i],
             c: [0, 1, 2].map(|n| before.c[n] + before.kappa * self.c[n][i]),
@@ -175,7 +175,7 @@ impl BlockLists {
             self.unpacked.fill(words[0], words[1], words[2]);
             for column in 0..BLOCK {
                 let i = row * BLOCK + column;
-                let mut before = Before::default();
+                let mut before = CollectedBefore::default();
                 let (mut most, mut depth) = (0.0, f32::NAN);
                 if column < columns {
                     for index in offsets[column] as usize..offsets[column + 1] as usize {
@@ -187,11 +187,11 @@ impl BlockLists {
                     }
                 }
                 self.depth[i] = depth;
-                self.pieces.push(Piece {
+                self.pieces.push(ListPiece {
                     front: f32::INFINITY,
                     back: f32::INFINITY,
                     before,
-                    ..Piece::default()
+                    ..ListPiece::default()
                 });
                 self.starts[i + 1] = self.pieces.len() as u32;
                 for (roots, c) in self.roots.iter_mut().zip(before.c) {
@@ -274,7 +274,7 @@ impl BlockLists {
 
     /// The segments of list `i`.
     #[inline(always)]
-    pub(super) fn list(&self, i: usize) -> &[Piece] {
+    pub(super) fn list(&self, i: usize) -> &[ListPiece] {
         &self.pieces[self.starts[i] as usize..self.starts[i + 1] as usize - 1]
     }
 }
@@ -284,16 +284,16 @@ impl BlockLists {
 #[repr(align(64))]
 pub(super) struct Collected {
     /// Optical depth.
-    pub(super) tau: Sample,
+    pub(super) tau: SampleColumn,
     /// Transmittance, and one over it.
-    pub(super) kappa: Sample,
-    pub(super) per_kappa: Sample,
+    pub(super) kappa: SampleColumn,
+    pub(super) per_kappa: SampleColumn,
     /// Colour, seen from the front.
-    pub(super) c: [Sample; 3],
+    pub(super) c: [SampleColumn; 3],
     /// Where matter begins, at this cut or behind it; infinite behind all matter.
-    pub(super) next: Sample,
+    pub(super) next: SampleColumn,
     /// Where matter ends, at this cut or before it; −infinite in front of all matter.
-    pub(super) last: Sample,
+    pub(super) last: SampleColumn,
 }
 
 impl Collected {
@@ -310,34 +310,34 @@ impl Collected {
 /// Walks through sixteen lists at once, front to back. Depths are those of the lists less `shear`.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-pub(super) struct Walk {
-    pub(super) shear: Sample,
+pub(super) struct ListWalk {
+    pub(super) shear: SampleColumn,
     /// Slopes of [`BlockLists`].
-    pub(super) slope: Sample,
+    pub(super) slope: SampleColumn,
     /// Index of the piece that the walk is in or in front of.
     pub(super) index: [u32; SAMPLES],
     /// The columns of these pieces.
-    front: Sample,
-    back: Sample,
-    rate: Sample,
-    pub(super) e: [Sample; 3],
-    tau: Sample,
-    kappa: Sample,
-    c: [Sample; 3],
+    front: SampleColumn,
+    back: SampleColumn,
+    rate: SampleColumn,
+    pub(super) e: [SampleColumn; 3],
+    tau: SampleColumn,
+    kappa: SampleColumn,
+    c: [SampleColumn; 3],
     /// Where the pieces before end.
-    last: Sample,
-    border: Sample,
+    last: SampleColumn,
+    border: SampleColumn,
 }
 
 /// What wants to know when a walk leaves pieces. No closure, as those do not get the instructions that their callers have.
-pub(super) trait Leaving {
+pub(super) trait PieceObserver {
     /// These lists, bit by bit, have left a piece each, and the walk is at the front of the next.
-    fn left(&mut self, walk: &Walk, lists: u64);
+    fn left(&mut self, walk: &ListWalk, lists: u64);
 }
 
-impl Leaving for () {
+impl PieceObserver for () {
     #[inline(always)]
-    fn left(&mut self, _: &Walk, _: u64) {}
+    fn left(&mut self, _: &ListWalk, _: u64) {}
 }
 
 /// Whether a piece ends in front of a border, or so little behind it that it ends there.
@@ -352,7 +352,7 @@ fn is_within(border: f32, front: f32, back: f32) -> bool {
     border - front >= SNAP * (back - front)
 }
 
-impl Default for Walk {
+impl Default for ListWalk {
     fn default() -> Self {
         let zero = [0.0; SAMPLES];
         Self {
@@ -372,7 +372,7 @@ impl Default for Walk {
     }
 }
 
-impl Walk {
+impl ListWalk {
     /// To the front of lists.
     #[inline(always)]
     pub(super) fn start(&mut self, lists: &BlockLists, numbers: &[usize; SAMPLES]) {
@@ -426,9 +426,9 @@ impl Walk {
     pub(super) fn go_to_borders(
         &mut self,
         lists: &BlockLists,
-        depth: &Sample,
+        depth: &SampleColumn,
         out: &mut Collected,
-        leaving: &mut impl Leaving,
+        leaving: &mut impl PieceObserver,
     ) {
         for (border, depth) in self.border.iter_mut().zip(depth) {
             *border = greater(*depth, *border);
@@ -444,7 +444,7 @@ impl Walk {
         &mut self,
         lists: &BlockLists,
         is_passed: impl Fn(f32, f32, usize) -> bool,
-        leaving: &mut impl Leaving,
+        leaving: &mut impl PieceObserver,
     ) {
         loop {
             let mut passed = 0u64;
@@ -481,7 +481,7 @@ impl Walk {
 
     /// What is collected at these depths, if they are inside of their piece, or before it.
     #[inline(always)]
-    fn collected(&self, depth: &Sample, is_inside: impl Fn(f32, f32, f32) -> bool, out: &mut Collected) {
+    fn collected(&self, depth: &SampleColumn, is_inside: impl Fn(f32, f32, f32) -> bool, out: &mut Collected) {
         for i in 0..SAMPLES {
             let (front, depth) = (self.front[i], depth[i]);
             let is_inside = is_inside(depth, front, self.back[i]);

@@ -23,15 +23,15 @@ pub(super) mod tests;
 use super::model::{BLOCK, BLOCK_LISTS, BlockLayer, DepthPlane, MAX_LAYERS};
 use super::steps::LayerCost;
 use assign::Assigned;
-use cuts::Merge;
+use cuts::CutSearch;
 pub(super) use lists::BlockLists;
-use lists::Walk;
+use lists::ListWalk;
 
 /// Scratch memory to find layers with; one for each thread.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LayerSearch {
-    walk: Walk,
-    merge: Merge,
+    walk: ListWalk,
+    merge: CutSearch,
     assigned: Assigned,
 }
 
@@ -137,7 +137,7 @@ impl LayerSearch {
         planes: &[(DepthPlane, DepthPlane)],
         out: &mut Vec<BlockLayer>,
     ) {
-        self.assigned.put_all::<true>(&mut self.walk, lists, planes, &All);
+        self.assigned.put_all::<true>(&mut self.walk, lists, planes, &AllLists);
         self.assigned.layers(planes, out);
     }
 
@@ -152,7 +152,7 @@ impl LayerSearch {
 }
 
 /// Which lists are worked on.
-trait Lists {
+trait ListSubset {
     /// How many.
     fn num(&self) -> usize;
 
@@ -161,9 +161,9 @@ trait Lists {
 }
 
 /// All lists of a block.
-struct All;
+struct AllLists;
 
-impl Lists for All {
+impl ListSubset for AllLists {
     #[inline(always)]
     fn num(&self) -> usize {
         BLOCK_LISTS
@@ -176,7 +176,7 @@ impl Lists for All {
 }
 
 /// The sampled ones.
-impl Lists for BlockLists {
+impl ListSubset for BlockLists {
     #[inline(always)]
     fn num(&self) -> usize {
         SAMPLES
@@ -192,7 +192,7 @@ impl Lists for BlockLists {
 type Column = [f32; BLOCK_LISTS];
 
 /// A number for each list that is looked at where not all are.
-type Sample = [f32; SAMPLES];
+type SampleColumn = [f32; SAMPLES];
 
 /// Sums over so many lists, a multiple of [`LANES`].
 #[inline(always)]

@@ -2,15 +2,15 @@
 
 use super::assign::borders;
 use super::cuts::{joined_in_list, weight};
-use super::lists::{BlockLists, Collected, Leaving, Walk};
-use super::{DepthPlane, Lists, SAMPLES, Sample, power_5_4, select, sum};
+use super::lists::{BlockLists, Collected, PieceObserver, ListWalk};
+use super::{DepthPlane, ListSubset, SAMPLES, SampleColumn, power_5_4, select, sum};
 use crate::kernels::raycast::opacity;
 
 /// Where the matter of a list in a layer is parted by a gap or into two pieces: what is collected up to there.
-struct Partings<'a> {
+struct Gaps<'a> {
     /// What is collected up to the layer.
     before: &'a Collected,
-    slope: &'a Sample,
+    slope: &'a SampleColumn,
     /// Lists that have a parting that is not weighed yet, bit by bit.
     mask: u64,
     at: Collected,
@@ -18,9 +18,9 @@ struct Partings<'a> {
     joined: f32,
 }
 
-impl<'a> Partings<'a> {
+impl<'a> Gaps<'a> {
     #[inline(always)]
-    fn new(before: &'a Collected, slope: &'a Sample) -> Self {
+    fn new(before: &'a Collected, slope: &'a SampleColumn) -> Self {
         Self { before, slope, mask: 0, at: Collected::NOTHING, joined: 0.0 }
     }
 
@@ -42,9 +42,9 @@ impl<'a> Partings<'a> {
     }
 }
 
-impl Leaving for Partings<'_> {
+impl PieceObserver for Gaps<'_> {
     #[inline(always)]
-    fn left(&mut self, walk: &Walk, lists: u64) {
+    fn left(&mut self, walk: &ListWalk, lists: u64) {
         let here = walk.at_fronts();
         self.weigh(lists, &here);
         let mut mask = 0;
@@ -70,10 +70,10 @@ impl Leaving for Partings<'_> {
 /// as soon as it is above `limit`.
 #[inline(always)]
 pub(super) fn moved(
-    walk: &mut Walk,
+    walk: &mut ListWalk,
     lists: &BlockLists,
     planes: &[(DepthPlane, DepthPlane)],
-    of: &impl Lists,
+    of: &impl ListSubset,
     num_each: f32,
     limit: f32,
 ) -> f32 {
@@ -84,7 +84,7 @@ pub(super) fn moved(
         walk.start_at_borders(lists, &numbers, &mut before);
         let slope = walk.slope;
         for (n, (front, back)) in planes.iter().enumerate() {
-            let (mut partings, mut here) = (Partings::new(&before, &slope), Collected::NOTHING);
+            let (mut partings, mut here) = (Gaps::new(&before, &slope), Collected::NOTHING);
             walk.go_to_borders(lists, &borders(planes, n, &numbers), &mut here, &mut partings);
             partings.weigh(u64::MAX, &here);
             error += partings.joined;

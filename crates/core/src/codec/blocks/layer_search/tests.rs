@@ -104,7 +104,7 @@ fn assign(
     out: &mut Vec<BlockLayer>,
 ) -> f32 {
     search.assign(lists, planes, out);
-    moved::moved(&mut search.walk, lists, planes, &All, 1.0, f32::INFINITY)
+    moved::moved(&mut search.walk, lists, planes, &AllLists, 1.0, f32::INFINITY)
 }
 
 #[test]

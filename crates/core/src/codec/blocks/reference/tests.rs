@@ -1,4 +1,4 @@
-use super::super::band::Lists;
+use super::super::band::OpenBlock;
 use super::super::model::BandPlace;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
@@ -10,7 +10,7 @@ use crate::space::Aabb;
 fn reference() -> Reference {
     let size = [3 * BLOCK; 2];
     let mut band = Band::new(BandPlace { across: 3, first_row: 0, num_rows: 3, size }, 0);
-    let mut lists = Lists::default();
+    let mut lists = OpenBlock::default();
     for block in 0..9usize {
         let first_plane = band.planes.len();
         lists.clear();

@@ -1,7 +1,7 @@
 use super::*;
 
 /// Counts of `n` tokens, each a third rarer than the one before, beginning with token `first`.
-fn falling(first: usize, n: usize) -> Counts {
+fn falling(first: usize, n: usize) -> TokenCounts {
     let mut counts = [0; TOKENS];
     for i in 0..n {
         counts[(first + i) % TOKENS] = (1e6 * 0.67f64.powi(i as i32)) as u32 + 1;
@@ -38,7 +38,7 @@ fn every_slot_is_in_one_place_for_both_sides() {
             for number in 0..frequency {
                 let slot = u32::from(tables.slots[usize::from(number) + first as usize]);
                 let state = (1 << 16 | slot).to_le_bytes();
-                let mut stream = Stream::new(&state, &[]);
+                let mut stream = TokenStream::new(&state, &[]);
                 assert_eq!(stream.next(&decode), NUMBERS[token] & 0xff_ffff);
                 // The state is what the definition says: frequency·⌊state/2¹²⌋ + number of the slot.
                 let expected = u32::from(frequency) * 16 + u32::from(number);
@@ -114,7 +114,7 @@ fn streams_are_read_as_written_and_are_as_short_as_their_entropy() {
     raw.finish(&mut bits);
     // States of 32 bits against slots of 12: rounding costs less than a thousandth, and the last state 4 bytes.
     assert!(tokens.len() as f64 <= 4.0 + entropy / 8.0 * 1.001, "{} {}", tokens.len(), entropy / 8.0);
-    let mut stream = Stream::new(&tokens, &bits);
+    let mut stream = TokenStream::new(&tokens, &bits);
     for &(table, token) in &symbols {
         let least = NUMBERS[usize::from(token)];
         let bit = u32::from(least >> 24 > 0);
@@ -123,7 +123,7 @@ fn streams_are_read_as_written_and_are_as_short_as_their_entropy() {
     assert!(stream.ended());
     stream.next(&decode[0]);
     assert!(!stream.ended());
-    let mut short = Stream::new(&tokens[..tokens.len() - 2], &bits);
+    let mut short = TokenStream::new(&tokens[..tokens.len() - 2], &bits);
     for &(table, _) in &symbols {
         short.next(&decode[table]);
     }
@@ -145,7 +145,7 @@ fn bad_tables_are_refused_and_any_table_decodes() {
         if let Ok(frequencies) = BitReader::new(&bytes).frequencies() {
             accepted += 1;
             let table = DecodeTable::new(&frequencies);
-            let mut stream = Stream::new(&bytes, &bytes);
+            let mut stream = TokenStream::new(&bytes, &bytes);
             for _ in 0..200 {
                 assert!(stream.next(&table) < 1 << 17);
             }
