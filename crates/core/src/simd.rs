@@ -1,4 +1,7 @@
 //! Functions compiled several times: as every machine can run them, and with wider instructions for those that have them.
+//!
+//! The crate `multiversion` does as much, but a test could not choose the width. That all widths give the same bits is
+//! what lets machines decode alike, so tests run each of them.
 
 #[cfg(target_arch = "x86_64")]
 use std::sync::LazyLock;

@@ -267,7 +267,10 @@ impl LayerWalk<'_> {
 
     /// The next layer that is wanted.
     #[inline(always)]
-    pub(super) fn next_of(&mut self, is_wanted: impl Fn(&CellLayer) -> bool) -> Option<(&CellLayer, &CellPlanes)> {
+    pub(super) fn next_of(
+        &mut self,
+        is_wanted: impl Fn(&CellLayer) -> bool,
+    ) -> Option<(&CellLayer, &CellPlanes)> {
         let layer = self.layers.by_ref().find(|layer| is_wanted(layer))?;
         let own = &self.cells[layer.words()];
         let cells = own.as_chunks().0.first_chunk().unwrap_or_else(|| {

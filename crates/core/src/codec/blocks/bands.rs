@@ -1,4 +1,4 @@
-//! Bands of blocks that take about as long.
+//! Bands of rows of blocks, such that each takes about as long to code.
 
 use super::super::bands::Borders;
 use super::super::limits::MAX_CHUNK_SEGMENTS;

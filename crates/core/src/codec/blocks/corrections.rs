@@ -1,5 +1,5 @@
-//! The correction of the picture at the frame's own pose: what the decoded layers composite to is off by the sum of
-//! many small errors, and one more plane a block takes most of it back.
+//! The correction of the picture at the frame's own pose. What the decoded layers composite to is off by the sum of
+//! many small errors; one more plane a block removes most of it.
 
 use super::super::error::{CodecError, at_most};
 use super::super::limits::MAX_CHUNK_SEGMENTS;

@@ -1,8 +1,8 @@
-//! What a plane is likely to be, from the planes beside it that are decoded: the waves along an edge between two blocks go
-//! on behind it and fade, short ones first; a slope along an edge tells the mean behind it.
+//! Intra prediction: the coefficients of a plane from the edges of the decoded planes to its left and above. Waves along an
+//! edge between two blocks continue behind it and fade, short ones first. A slope along an edge gives the mean behind it.
 
 use super::model::BLOCK;
-use super::transform::{Line8, BlockPlane, along_edges};
+use super::transform::{BlockPlane, Line8, along_edges};
 
 /// Cosine transforms of the last column and the last row of a plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,4 +1,4 @@
-//! What the payload of a chunk in blocks begins with; the same in all chunks of a frame.
+//! The head of a payload: step sizes, reference and bands. It is the same in all chunks of a frame.
 
 use super::super::bands::Borders;
 use super::super::error::CodecError;

@@ -1,4 +1,4 @@
-//! What a block of lists is when its lists share their cuts.
+//! A block of 8×8 lists, and the layers that its lists share. Depths are in depth units, see [`crate::layer`].
 
 use glam::Vec3;
 

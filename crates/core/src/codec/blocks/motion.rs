@@ -1,7 +1,7 @@
-//! Where matter of a frame lies in the picture and depth of another: the motion that temporal prediction follows.
+//! Motion compensation: where a point of a frame lies in the picture and depth of another. It follows from the two
+//! cameras alone, so no motion vectors are sent.
 //!
-//! Double precision, sums, products, quotients and square roots alone: the same bits on every machine. The tangent of
-//! the field of view is summed here, since libraries differ in the last bit of theirs.
+//! The arithmetic is in double precision, by sums, products and quotients: the same bits on every machine.
 
 use super::super::portable_math::tan;
 use crate::camera::{Camera, Projection};

@@ -53,7 +53,12 @@ impl BlockPicture {
     }
 
     /// Codes the blocks; `whole`, if it is there, gets their components as a decoder has them.
-    fn code<C: Coder>(&self, mut coder: C, samples: &[f32], mut whole: Option<&mut Vec<[BlockPlane; 3]>>) -> C {
+    fn code<C: Coder>(
+        &self,
+        mut coder: C,
+        samples: &[f32],
+        mut whole: Option<&mut Vec<[BlockPlane; 3]>>,
+    ) -> C {
         let [width, height] = self.size;
         let mut contexts = Contexts::new();
         let across = width.div_ceil(BLOCK);

@@ -1,4 +1,4 @@
-//! From bytes that a frame may have to the quality to ask for.
+//! Rate control: the quality to ask for, so that a frame has at most so many bytes.
 
 use super::super::chunk::EncodedFrame;
 use super::super::error::CodecError;

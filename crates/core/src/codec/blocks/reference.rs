@@ -1,9 +1,9 @@
-//! Frames that later ones are predicted from, and the fetching of a layer's content from one.
+//! Reference frames, and the fetching of a layer's prediction from one: content between two depths, at a quarter of a list.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::band::{Band, CellPlanes, CellLayer, NO_CELLS, greater, lesser};
+use super::band::{Band, CellLayer, CellPlanes, NO_CELLS, greater, lesser};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
 use super::motion::{CameraMotion, Shift};
 use super::scales::{f32_from_fixed, scales, whole};
@@ -177,7 +177,8 @@ struct FetchScratch {
 
 impl Fetched {
     pub(super) fn new() -> Self {
-        let scratch = FetchScratch { between: DepthRange::NOWHERE, contents: Contents::NOTHING, spread: NO_CELLS };
+        let scratch =
+            FetchScratch { between: DepthRange::NOWHERE, contents: Contents::NOTHING, spread: NO_CELLS };
         Self { planes: [[0.0; BLOCK_LISTS]; 4], mask: 0, scratch: Box::new(scratch) }
     }
 }

@@ -1,4 +1,4 @@
-//! A plane of 8×8 values as what is expected of it and coefficients in steps.
+//! A plane of 8×8 values as its prediction and the quantised coefficients of what is left.
 
 use super::entropy::Coder;
 use super::model::{BLOCK, BLOCK_LISTS};

@@ -1,10 +1,10 @@
-//! Borders between blocks of a decoded picture: what steps there by less than the coarseness of its coding is made smaller on
-//! both sides, as deblocking filters of video codecs do. The one here moves two samples on either side and is bounded by
-//! the step (docs/PROTOCOL.md, "Corrections"; docs/MATH.md, "Borders").
+//! The deblocking filter: it makes steps at borders between blocks smaller, if they are within the step size of the
+//! coding. It moves two samples on either side by a bounded amount (docs/PROTOCOL.md, "Corrections"; docs/MATH.md,
+//! "Borders").
 
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::scales::{roots_from_ycc, ycc_from_roots};
-use super::transform::{Line8, BlockPlane};
+use super::transform::{BlockPlane, Line8};
 
 /// Samples of every line across a border, the last three of the one block and the first three of the other.
 type Across = [Line8; NEAR];

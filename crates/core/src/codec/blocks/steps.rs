@@ -99,7 +99,11 @@ impl StepSizes {
 }
 
 /// The cost of layers and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn, of a frame that `is_predicted` or alone.
-pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Camera) -> (LayerCost, StepSizes) {
+pub(super) fn from_settings(
+    settings: &Settings,
+    is_predicted: bool,
+    camera: &Camera,
+) -> (LayerCost, StepSizes) {
     let [moves, corrections] = match (settings.turn_deg.map(|t| t.min(MAX_TURN_DEG)), is_predicted) {
         (None, false) => [1.0, 1.0],
         (None, true) => PREDICTED_FOR_ALL,

@@ -1,4 +1,4 @@
-//! How planes, masks and coefficients are said in bits, and with which estimates.
+//! The syntax of masks and coefficients, and the contexts of all bits: which estimate each bit is coded with.
 
 use std::sync::LazyLock;
 

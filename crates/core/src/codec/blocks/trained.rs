@@ -1,4 +1,4 @@
-//! What estimates of bits begin with.
+//! What estimates of bits begin with: the result of training on other frames.
 
 /// Beginnings of the estimates of a band, one character each, in the order of `Contexts::set` (`syntax.rs`). Each is the one
 /// with which the bands of the nine scenes take the fewest bits: coded alone and predicted from a frame 1° away, at

@@ -1,8 +1,8 @@
-//! The planes of a chunk and their contexts, and the two sides of coding a number in one: [`PlaneRecorder`] and [`PlaneReader`].
+//! The planes of a chunk and their contexts. [`PlaneRecorder`] collects numbers to encode, [`PlaneReader`] decodes them.
 
 use super::rans::{
-    BitReader, BitWriter, TokenCounts, DecodeTable, EncodeTables, Frequencies, TokenStream, TOKENS, TokenWriter,
-    frequencies, frequency_bits, token,
+    BitReader, BitWriter, DecodeTable, EncodeTables, Frequencies, TOKENS, TokenCounts, TokenStream,
+    TokenWriter, frequencies, frequency_bits, token,
 };
 
 /// One side of coding a plane: walks over the segments call this for every number, in the same order on both sides.
@@ -195,27 +195,27 @@ pub(super) fn readers<'a>(
     if bits.ended() { Ok(readers) } else { Err("too long or too short") }
 }
 
-/// Splits what [`Recorder::finish`] has appended: the tables, then tokens and raw bits of every plane. The error is the
-/// number of the part that is longer than what is left, its length, and what is left; or, behind the last
-/// part, the bytes left over.
-pub(super) fn parts(bytes: &[u8]) -> Result<[&[u8]; NUM_PARTS], (usize, usize, usize)> {
-    let (lengths, mut rest) =
-        bytes.split_at_checked(DIRECTORY_BYTES).ok_or((0, DIRECTORY_BYTES, bytes.len()))?;
+/// Splits what [`Recorder::finish`] has appended: the tables, then tokens and raw bits of every plane. The error names the
+/// part whose length does not fit.
+pub(super) fn parts(bytes: &[u8]) -> Result<[&[u8]; NUM_PARTS], &'static str> {
+    let (lengths, mut rest) = bytes.split_at_checked(DIRECTORY_BYTES).ok_or("part lengths")?;
     let mut parts = [&[][..]; NUM_PARTS];
-    for (number, part) in parts.iter_mut().enumerate() {
-        let length = u32::from_le_bytes(std::array::from_fn(|i| lengths[number * 4 + i])) as usize;
-        (*part, rest) = rest.split_at_checked(length).ok_or((number, length, rest.len()))?;
+    for (number, (part, length)) in parts.iter_mut().zip(lengths.as_chunks::<4>().0).enumerate() {
+        let name = || number.checked_sub(1).map_or(TABLES, |number| PLANE_NAMES[number / 2]);
+        (*part, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize).ok_or_else(name)?;
     }
-    if rest.is_empty() { Ok(parts) } else { Err((NUM_PARTS, 0, rest.len())) }
+    if rest.is_empty() { Ok(parts) } else { Err("part lengths") }
 }
 
+/// The name of the tables in errors.
+pub(super) const TABLES: &str = "tables";
 pub(super) const LENGTHS: usize = 0;
 const FRONT: usize = 1;
 /// Planes that are coded: lengths with one number a list; front, back, τ, green, red and blue with one a segment.
 pub(super) const NUM_PLANES: usize = 7;
 /// Tables, and tokens and raw bits of each plane.
-pub(super) const NUM_PARTS: usize = 1 + 2 * NUM_PLANES;
-pub(super) const DIRECTORY_BYTES: usize = 4 * NUM_PARTS;
+const NUM_PARTS: usize = 1 + 2 * NUM_PLANES;
+const DIRECTORY_BYTES: usize = 4 * NUM_PARTS;
 pub(super) const PLANE_NAMES: [&str; NUM_PLANES] =
     ["lengths", "front", "back", "tau", "green", "red", "blue"];
 /// Contexts of lengths, front, back, τ, green, red and blue, as `predict` numbers them.

@@ -1,4 +1,4 @@
-//! The payload of a chunk in the exact mode: which tiles hold anything, then the lengths of their lists and the
+//! The payload of a chunk in the exact coding: which tiles hold anything, then the lengths of their lists and the
 //! segments as planes of numbers, each plane a stream of its own (`contexts`, `rans`).
 
 use std::cell::RefCell;
@@ -9,12 +9,11 @@ use super::super::error::{CodecError, at_most};
 use super::super::header::{ChunkHeader, HEADER_BYTES, TILE, num_tiles};
 use super::super::limits::MAX_CHUNK_SEGMENTS;
 use super::contexts::{
-    DIRECTORY_BYTES, LENGTHS, NUM_PARTS, NUM_PLANES, PLANE_NAMES, PlaneCoder, PlaneReader, Recorder, parts,
-    readers,
+    LENGTHS, NUM_PLANES, PLANE_NAMES, PlaneCoder, PlaneReader, Recorder, TABLES, parts, readers,
 };
 use super::predict::{self, Misordered};
 use super::quantize::CodedLists;
-use super::rows::{SegmentCodes, ListRows};
+use super::rows::{ListRows, SegmentCodes};
 use super::scale::scale;
 use crate::camera::Intrinsics;
 
@@ -74,7 +73,7 @@ impl<'a> Opened<'a> {
         if streams.is_empty() && tiles.are_empty() {
             return Ok(Self { borders, counts, num_segments: 0, width, readers: Default::default() });
         }
-        let parts = split_parts(streams)?;
+        let parts = parts(streams).map_err(|part| damaged(part, "its length does not fit"))?;
         let mut readers = readers(&parts).map_err(|problem| damaged(TABLES, problem))?;
         walk_lengths(&mut readers[LENGTHS], &tiles, &mut counts, width);
         let limit = header.frame.k;
@@ -118,15 +117,6 @@ pub(super) fn decode(opened: &mut Opened<'_>, words: Words<'_>) -> Result<(), Co
         Some(plane) => Err(damaged(PLANE_NAMES[plane], "its stream does not end with its last number")),
         None => Ok(()),
     }
-}
-
-fn split_parts(streams: &[u8]) -> Result<[&[u8]; NUM_PARTS], CodecError> {
-    parts(streams).map_err(|(number, length, left)| match number {
-        0 if length == DIRECTORY_BYTES => damaged("part lengths", format!("{left} bytes, expected {length}")),
-        0 => damaged(TABLES, format!("{length} bytes long, but {left} are left")),
-        NUM_PARTS => damaged(PLANE_NAMES[NUM_PLANES - 1], format!("{left} bytes are left over")),
-        _ => damaged(PLANE_NAMES[(number - 1) / 2], format!("{length} bytes long, but {left} are left")),
-    })
 }
 
 /// Which tiles of a band hold anything.
@@ -208,5 +198,3 @@ thread_local! {
     // A recorder is some megabytes in the end: one a thread, kept.
     static RECORDER: RefCell<Recorder> = RefCell::default();
 }
-
-const TABLES: &str = "tables";

@@ -10,7 +10,7 @@
 use std::hint::{cold_path, select_unpredictable};
 
 use super::contexts::{NUM_PLANES, PlaneCoder};
-use super::rows::{Neighbors, SegmentCodes, ListRows, ColorRatio};
+use super::rows::{ColorRatio, ListRows, Neighbors, SegmentCodes};
 use super::scale::{self, MAX_COLOR_CODE, Scale};
 
 /// A segment that lies in front of the one before it in its list, or holds nothing: front, back, and the back before.
@@ -78,7 +78,11 @@ pub(super) fn length_context(left: u8, above: u8) -> usize {
 
 /// Codes where the segments begin and end, and notes which others each is expected to be like.
 #[inline(always)]
-fn depths<P: PlaneCoder>([fronts, backs]: [&mut P; 2], rows: &mut ListRows, counts: &[u8]) -> Result<(), Misordered> {
+fn depths<P: PlaneCoder>(
+    [fronts, backs]: [&mut P; 2],
+    rows: &mut ListRows,
+    counts: &[u8],
+) -> Result<(), Misordered> {
     let ListRows { depths, links, above, own, .. } = rows;
     let (depths, mut links) = (&mut depths[..], &mut links[..]);
     let mut left = 0;
@@ -353,7 +357,13 @@ impl Neighbors {
 
 /// Codes a colour channel: its code, and the number that was coded.
 #[inline(always)]
-fn channel<P: PlaneCoder>(coder: &mut P, max_code: u32, context: usize, expected: u32, given: u16) -> (u16, u32) {
+fn channel<P: PlaneCoder>(
+    coder: &mut P,
+    max_code: u32,
+    context: usize,
+    expected: u32,
+    given: u16,
+) -> (u16, u32) {
     let expected = expected.min(max_code);
     let coded = coder.code::<false>(context, || zigzag(u32::from(given).wrapping_sub(expected)));
     ((expected.wrapping_add(unzigzag(coded)) & max_code) as u16, coded)

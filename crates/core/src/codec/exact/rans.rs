@@ -1,4 +1,4 @@
-//! The entropy stage of the exact mode: static range asymmetric numeral systems (Duda 2013) with one table a context.
+//! The entropy stage of the exact coding: static range asymmetric numeral systems (Duda 2013) with one table a context.
 //!
 //! Numbers become *tokens* and raw bits (`token`): small ones are a token each, larger ones share a token with all
 //! of their octave's half. The tokens of a plane are one stream with one state of 32 bits, renewed by 16 bits at a time;
@@ -120,8 +120,7 @@ impl Alias {
         let mut other: [u8; TOKENS] = std::array::from_fn(|i| i as u8);
         let mut start = [0; TOKENS];
         let bucket = BUCKET as u16;
-        let mut over = Stack::EMPTY;
-        let mut under = Stack::EMPTY;
+        let (mut over, mut under) = (Vec::with_capacity(TOKENS), Vec::with_capacity(TOKENS));
         for (token, &frequency) in frequencies.iter().enumerate() {
             match frequency.cmp(&bucket) {
                 std::cmp::Ordering::Greater => over.push(token),
@@ -129,7 +128,7 @@ impl Alias {
                 std::cmp::Ordering::Equal => {}
             }
         }
-        while let (Some(giver), Some(taker)) = (over.last(), under.pop()) {
+        while let (Some(&giver), Some(taker)) = (over.last(), under.pop()) {
             cutoff[giver] -= bucket - cutoff[taker];
             other[taker] = giver as u8;
             start[taker] = cutoff[giver];
@@ -141,30 +140,6 @@ impl Alias {
             }
         }
         Self { cutoff, other, start }
-    }
-}
-
-struct Stack {
-    tokens: [u8; TOKENS],
-    len: usize,
-}
-
-impl Stack {
-    const EMPTY: Self = Self { tokens: [0; TOKENS], len: 0 };
-
-    fn push(&mut self, token: usize) {
-        self.tokens[self.len] = token as u8;
-        self.len += 1;
-    }
-
-    fn last(&self) -> Option<usize> {
-        self.tokens[..self.len].last().map(|&token| token.into())
-    }
-
-    fn pop(&mut self) -> Option<usize> {
-        let last = self.last();
-        self.len = self.len.saturating_sub(1);
-        last
     }
 }
 

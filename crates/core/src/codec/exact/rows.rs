@@ -1,4 +1,4 @@
-//! Two rows of lists, one that is coded and the one above it: what predictions look at.
+//! The two rows of lists that predictions use: the one that is coded and the one above it.
 //!
 //! Segments of both rows have numbers in one space. Behind each list are two segments of nothing, and so are
 //! the first two of the space, which stand for an empty list: a walk along a list needs no other end, and neither walks

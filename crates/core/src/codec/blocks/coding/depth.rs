@@ -1,4 +1,4 @@
-//! The depth planes of a block in steps.
+//! The depth planes of a block: predicted from those of the blocks to the left and above, and coded in steps.
 
 use std::ops::Range;
 

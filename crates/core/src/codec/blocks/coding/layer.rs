@@ -1,4 +1,4 @@
-//! What a block has between two of its depth planes.
+//! A layer of a block: which of its lists have matter, and its planes of opacity and colour.
 
 use std::ops::Range;
 

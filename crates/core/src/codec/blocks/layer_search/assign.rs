@@ -1,10 +1,12 @@
-//! The matter of lists put into layers.
+//! Assigns the matter of lists to given layers, and fits depth planes to what is in each layer.
 
 use glam::Vec3;
 
 use super::super::model::{BLOCK, BlockLayer, DepthPlane};
-use super::lists::{BlockLists, Collected, TAU_MIN, ListWalk};
-use super::{BLOCK_LISTS, Column, KAPPA_FLOOR, ListSubset, SAMPLES, SampleColumn, greater, lesser, select, sum};
+use super::lists::{BlockLists, Collected, ListWalk, TAU_MIN};
+use super::{
+    BLOCK_LISTS, Column, KAPPA_FLOOR, ListSubset, SAMPLES, SampleColumn, greater, lesser, select, sum,
+};
 use crate::kernels::raycast::opacity;
 use crate::layer::TAU_MAX;
 
@@ -31,7 +33,8 @@ struct AssignedLayer {
 }
 
 const ZERO: Column = [0.0; BLOCK_LISTS];
-const NO_CELLS: AssignedLayer = AssignedLayer { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3] };
+const NO_CELLS: AssignedLayer =
+    AssignedLayer { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3] };
 
 impl AssignedLayer {
     /// What lists from `first` on have collected between two places, the first in or in front of pieces with the source
@@ -169,7 +172,11 @@ impl Assigned {
 
 /// Where layer `n` ends in some lists.
 #[inline(always)]
-pub(super) fn borders(planes: &[(DepthPlane, DepthPlane)], n: usize, lists: &[usize; SAMPLES]) -> SampleColumn {
+pub(super) fn borders(
+    planes: &[(DepthPlane, DepthPlane)],
+    n: usize,
+    lists: &[usize; SAMPLES],
+) -> SampleColumn {
     match planes.get(n + 1) {
         None => [f32::MAX; SAMPLES],
         Some((next, _)) => lists.map(|i| 0.5 * (planes[n].1.at(i) + next.at(i))),

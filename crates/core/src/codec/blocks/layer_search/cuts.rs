@@ -1,9 +1,9 @@
-//! The cuts of a block: many candidates, of which the least needed are dropped.
+//! Chooses where layers begin: of many candidate depths, those are dropped whose loss moves matter least (greedy merging).
 
 use super::lists::{BlockLists, Collected, ListWalk};
 use super::{
-    BLOCK, BLOCK_LISTS, KAPPA_FLOOR, LayerCost, MAX_LAYERS, SAMPLES, SampleColumn, fourth_root, greater, lesser,
-    power_5_4, select, sum,
+    BLOCK, BLOCK_LISTS, KAPPA_FLOOR, LayerCost, MAX_LAYERS, SAMPLES, SampleColumn, fourth_root, greater,
+    lesser, power_5_4, select, sum,
 };
 use crate::kernels::raycast::opacity;
 

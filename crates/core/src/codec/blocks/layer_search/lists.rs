@@ -1,4 +1,4 @@
-//! The lists of a block as curves: what a ray along a list has collected up to a depth.
+//! The lists of a block, and walks along 16 of them at once: optical depth, transmittance and colour collected up to a depth.
 
 use super::super::model::{BLOCK, BLOCK_LISTS};
 use super::{Column, SAMPLES, SampleColumn, greater, lesser, select};
@@ -481,7 +481,12 @@ impl ListWalk {
 
     /// What is collected at these depths, if they are inside of their piece, or before it.
     #[inline(always)]
-    fn collected(&self, depth: &SampleColumn, is_inside: impl Fn(f32, f32, f32) -> bool, out: &mut Collected) {
+    fn collected(
+        &self,
+        depth: &SampleColumn,
+        is_inside: impl Fn(f32, f32, f32) -> bool,
+        out: &mut Collected,
+    ) {
         for i in 0..SAMPLES {
             let (front, depth) = (self.front[i], depth[i]);
             let is_inside = is_inside(depth, front, self.back[i]);

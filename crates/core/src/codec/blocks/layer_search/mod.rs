@@ -1,4 +1,4 @@
-//! From ragged lists to layers that a block shares: the server's part of the rate mode.
+//! Finds the layers that the lists of a block share. Only an encoder does this.
 //!
 //! [`LayerSearch::find`] finds the layers: candidate cuts through a block, parallel to its first surface, of which those
 //! whose loss moves least matter are dropped until the next would move too much. [`LayerSearch::fit`] moves layers of a

@@ -1,8 +1,8 @@
-//! How far matter moves when it is put into given layers.
+//! The error of given layers: how far matter moves when it is put into them.
 
 use super::assign::borders;
 use super::cuts::{joined_in_list, weight};
-use super::lists::{BlockLists, Collected, PieceObserver, ListWalk};
+use super::lists::{BlockLists, Collected, ListWalk, PieceObserver};
 use super::{DepthPlane, ListSubset, SAMPLES, SampleColumn, power_5_4, select, sum};
 use crate::kernels::raycast::opacity;
 
