@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 31] = [
+const SOURCES: [&str; 30] = [
     "crates/core/src/wire",
     "crates/core/src/codec/bands.rs",
     "crates/core/src/codec/chunk.rs",
@@ -21,7 +21,6 @@ const SOURCES: [&str; 31] = [
     "crates/core/src/codec/exact/planes.rs",
     "crates/core/src/codec/blocks/model.rs",
     "crates/core/src/codec/blocks/transform.rs",
-    "crates/core/src/codec/blocks/edges.rs",
     "crates/core/src/codec/blocks/scales.rs",
     "crates/core/src/codec/blocks/smooth.rs",
     "crates/core/src/codec/blocks/entropy.rs",

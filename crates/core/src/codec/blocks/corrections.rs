@@ -13,7 +13,7 @@ use super::scales::{
 use super::smooth::{Border, smooth_roots};
 use super::steps::StepSizes;
 use super::syntax::{Contexts, NO_CLASS};
-use super::transform::Plane;
+use super::transform::BlockPlane;
 
 /// Differences of the roots of a picture's red, green and blue.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -20,7 +20,7 @@ use super::motion::CameraMotion;
 use super::reference::{Notes, Reference};
 use super::scales::ycc_from_roots;
 use super::steps::{self, LayerCost, Settings, StepSizes};
-use super::transform::Plane;
+use super::transform::BlockPlane;
 use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame};
 

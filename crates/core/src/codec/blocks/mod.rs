@@ -17,7 +17,6 @@
 //! |---|---|
 //! | `model` | blocks, layers and depth planes |
 //! | `transform` | the 8×8 cosine transform |
-//! | `edges` | prediction of a plane from those beside it |
 //! | `scales` | codes of opacity and colour |
 //! | `smooth` | borders between blocks |
 //! | `entropy` | the binary range coder |
@@ -44,7 +43,6 @@ mod bands;
 mod coding;
 mod corrections;
 mod decode;
-mod edges;
 mod encode;
 mod entropy;
 mod head;

@@ -3,14 +3,13 @@
 //! of planes is compared with image codecs, on planes of theirs.
 
 use super::super::error::CodecError;
-use super::edges::{Edges, spread};
 use super::entropy::{Coder, Decoder, Encoder};
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::residual::{Expected, residual};
 use super::scales::{roots_from_ycc, ycc_from_roots};
 use super::smooth::{Border, smooth};
 use super::syntax::{Contexts, NO_CLASS};
-use super::transform::Plane;
+use super::transform::BlockPlane;
 
 /// What a picture is, and how finely it is coded.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,15 +61,15 @@ impl BlockPicture {
         let [width, height] = self.size;
         let mut contexts = Contexts::new();
         let across = width.div_ceil(BLOCK);
-        // Edges and class of each component of the blocks so far.
-        let mut coded: Vec<[(Edges, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
+        // Mean and class of each component of the blocks so far.
+        let mut coded: Vec<[(f32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
         let steps = self.steps();
         for block in 0..across * height.div_ceil(BLOCK) {
             let mask = self.mask(block);
             let source = C::ENCODES.then(|| self.block(samples, block));
             let left = (block % across > 0).then(|| &coded[block - 1]);
             let above = block.checked_sub(across).map(|b| &coded[b]);
-            let mut own = [(Edges::default(), 0); 3];
+            let mut own = [(0.0, 0); 3];
             let mut values = [[0.0; BLOCK_LISTS]; 3];
             for (c, values) in values.iter_mut().enumerate().take(self.channels) {
                 let near = [left, above].map(|b| b.map(|b| &b[c]));
@@ -81,8 +80,11 @@ impl BlockPicture {
                 };
                 let in_front = if c == 0 { NO_CLASS } else { own[c - 1].1 };
                 let component = if self.channels == 1 { 0 } else { [1, 2, 2][c] };
-                let [left, above] = near.map(|b| b.map(|(edges, _)| edges));
-                let waves = spread(left, above, steps[c]);
+                let mean = match near {
+                    [Some((a, _)), Some((b, _))] => 0.5 * (a + b),
+                    [Some((a, _)), None] | [None, Some((a, _))] => *a,
+                    [None, None] => 0.0,
+                };
                 let (class, _) = residual(
                     &mut coder,
                     &mut contexts,
@@ -91,10 +93,10 @@ impl BlockPicture {
                     steps[c],
                     mask,
                     source.as_ref().map(|s| &s[c]),
-                    &waves.as_ref().map_or(Expected::Constant(0.0), Expected::Waves),
+                    &Expected::Constant(mean),
                     values,
                 );
-                own[c] = (Edges::of(values), class);
+                own[c] = (values.iter().sum::<f32>() / BLOCK_LISTS as f32, class);
             }
             coded.push(own);
             if let Some(whole) = &mut whole {

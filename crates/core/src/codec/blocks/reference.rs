@@ -8,7 +8,7 @@ use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
 use super::motion::{CameraMotion, Shift};
 use super::scales::{f32_from_fixed, scales, whole};
 use super::steps::StepSizes;
-use super::transform::Plane;
+use super::transform::BlockPlane;
 use crate::ids::FrameId;
 use crate::layer::FrameHeader;
 

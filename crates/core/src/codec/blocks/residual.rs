@@ -11,8 +11,6 @@ use super::transform::{BlockPlane, ZIGZAG, fill_in, forward, inverse};
 pub(super) enum Expected<'a> {
     Constant(f32),
     Plane(&'a BlockPlane),
-    /// Its coefficients.
-    Waves(&'a BlockPlane),
 }
 
 impl Expected<'_> {
@@ -20,7 +18,6 @@ impl Expected<'_> {
         match self {
             Self::Constant(value) => [*value; BLOCK_LISTS],
             Self::Plane(plane) => **plane,
-            Self::Waves(waves) => inverse(waves),
         }
     }
 }
@@ -41,18 +38,10 @@ pub(super) fn residual<C: Coder>(
 ) -> (u8, f32) {
     let mut levels = Levels::ZERO;
     if let (true, Some(source)) = (C::ENCODES, source) {
-        let coefficients = match expected {
-            Expected::Waves(waves) if mask == u64::MAX => {
-                let all = forward(source);
-                std::array::from_fn(|i| all[i] - waves[i])
-            }
-            _ => {
-                let expected = expected.values();
-                let mut difference: BlockPlane = std::array::from_fn(|i| source[i] - expected[i]);
-                fill_in(&mut difference, mask);
-                forward(&difference)
-            }
-        };
+        let expected = expected.values();
+        let mut difference: BlockPlane = std::array::from_fn(|i| source[i] - expected[i]);
+        fill_in(&mut difference, mask);
+        let coefficients = forward(&difference);
         let rounding =
             if component < FIRST_INTER || component == CORRECTION { ROUNDING } else { INTER_ROUNDING };
         quantize(&coefficients, step, rounding, &mut levels);
@@ -66,22 +55,12 @@ pub(super) fn residual<C: Coder>(
         }
     }
     let mean = coefficients[0] * (1.0 / BLOCK as f32);
-    match expected {
-        Expected::Waves(waves) => {
-            coefficients.iter_mut().zip(*waves).for_each(|(c, wave)| *c += wave);
-            let is_flat = coefficients[1..].iter().all(|&c| c == 0.0);
-            let flat = [coefficients[0] * (1.0 / BLOCK as f32); BLOCK_LISTS];
-            *values = if is_flat { flat } else { inverse(&coefficients) };
-        }
-        _ => {
-            *values = expected.values();
-            if levels.length == 1 {
-                values.iter_mut().for_each(|v| *v += mean);
-            } else if levels.length > 1 {
-                for (value, difference) in values.iter_mut().zip(inverse(&coefficients)) {
-                    *value += difference;
-                }
-            }
+    *values = expected.values();
+    if levels.length == 1 {
+        values.iter_mut().for_each(|v| *v += mean);
+    } else if levels.length > 1 {
+        for (value, difference) in values.iter_mut().zip(inverse(&coefficients)) {
+            *value += difference;
         }
     }
     (class, mean)

@@ -21,11 +21,6 @@ wide! {
 }
 
 wide! {
-    /// Orthonormal transforms of the last column and of the last row.
-    pub(super) fn along_edges(values: &BlockPlane) -> [Line8; 2] = along_edges_any;
-}
-
-wide! {
     /// Gives the lists outside of `mask` smooth values, so that the transform has little to say of them: the mean, and
     /// then relaxed towards their neighbours'.
     pub(super) fn fill_in(values: &mut BlockPlane, mask: u64) = fill_in_any;
@@ -65,17 +60,6 @@ fn inverse_any(coefficients: &BlockPlane) -> BlockPlane {
         }
     }
     out
-}
-
-#[inline(always)]
-fn along_edges_any(values: &BlockPlane) -> [Line8; 2] {
-    let (rows, _) = values.as_chunks::<BLOCK>();
-    let [mut right, mut bottom] = [[0.0; BLOCK]; 2];
-    for (n, row) in rows.iter().enumerate() {
-        add_scaled(&mut right, &TRANSPOSED[n], row[BLOCK - 1]);
-        add_scaled(&mut bottom, &TRANSPOSED[n], rows[BLOCK - 1][n]);
-    }
-    [right, bottom]
 }
 
 #[inline(always)]

@@ -3,14 +3,13 @@
 use std::ops::Range;
 
 use super::super::band::Planes;
-use super::super::edges::{Edges, spread};
 use super::super::entropy::Coder;
 use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer, lists_of};
 use super::super::reference::{HALF, fetch};
 use super::super::residual::{Expected, fixed_of, residual};
 use super::super::scales::{scales, ycc_from_roots};
 use super::super::syntax::NO_CLASS;
-use super::super::transform::Plane;
+use super::super::transform::BlockPlane;
 use super::{BandCoder, Origin};
 use crate::kernels::raycast::opacity;
 
@@ -31,6 +30,13 @@ pub(super) struct CodedLayer {
     pub(super) classes: [u8; 4],
     /// The lists with matter.
     pub(super) mask: u64,
+}
+
+impl CodedLayer {
+    /// Of a layer without matter, which passes on these means.
+    pub(super) fn without_matter(means: [f32; 4]) -> Self {
+        Self { means, classes: [0; 4], mask: 0 }
+    }
 }
 
 impl<C: Coder> BandCoder<'_, C> {
@@ -61,10 +67,9 @@ impl<C: Coder> BandCoder<'_, C> {
         };
         let means_in_front = in_front.map_or([0.0; 4], |l| l.means);
         if !self.coder.bit(&mut self.contexts.has_matter[kind][likely], wanted_mask != 0) {
-            return self.nothing(means_in_front);
+            return CodedLayer::without_matter(means_in_front);
         }
-        let numbers = neighbors.clone().map(|n| self.overlapping(n, &planes));
-        let matches = numbers.map(|n| n.map(|l| self.layers[l]));
+        let matches = neighbors.clone().map(|n| self.overlapping(n, &planes).map(|l| self.layers[l]));
         let inside = self.place.inside(x, y);
         let said = if wanted_mask == inside { u64::MAX } else { wanted_mask };
         let mask = self.contexts.mask(
@@ -75,7 +80,7 @@ impl<C: Coder> BandCoder<'_, C> {
             said,
         ) & inside;
         if mask == 0 {
-            return self.nothing(means_in_front);
+            return CodedLayer::without_matter(means_in_front);
         }
         *mask_before = Some(mask);
 
@@ -106,8 +111,6 @@ impl<C: Coder> BandCoder<'_, C> {
         let num_lists = mask.count_ones() as f32;
         let kappa = lists().map(|i| self.lists.kappa[i]).sum::<f32>() / num_lists;
         let mut coded = CodedLayer { means, classes: [0; 4], mask };
-        let beside = numbers.map(|n| n.and_then(|l| self.edges.get(l)));
-        let mut edges = [Edges::default(); 4];
         if is_inter {
             let [u, y, co, cg] = &self.fetched.planes;
             let mut sums = [0.0; 4];
@@ -133,15 +136,9 @@ impl<C: Coder> BandCoder<'_, C> {
             }
             let component = [0, 1, 2, 2][c] + if is_inter { 4 } else { 0 };
             let source = sources.as_ref().map(|s| &s[c]);
-            let [left, above] = beside.map(|edges| edges.map(|e| &e[c]));
-            let waves = spread(left, above, step);
-            let expected = match &waves {
-                _ if is_inter => Expected::Plane(&self.fetched.planes[c]),
-                Some(waves) => {
-                    coded.means[c] = waves[0] * (1.0 / BLOCK as f32);
-                    Expected::Waves(waves)
-                }
-                None => Expected::Constant(means[c]),
+            let expected = match is_inter {
+                true => Expected::Plane(&self.fetched.planes[c]),
+                false => Expected::Constant(means[c]),
             };
             let (class, mean) = residual(
                 &mut self.coder,
@@ -156,9 +153,6 @@ impl<C: Coder> BandCoder<'_, C> {
             );
             coded.classes[c] = class;
             coded.means[c] += mean;
-            if self.has_edges {
-                edges[c] = Edges::of(&values[c]);
-            }
             if c == 0 {
                 codes_of(&values[0], &mut codes);
                 alphas = codes.map(|code| scales.alpha[usize::from(code)]);
@@ -169,18 +163,7 @@ impl<C: Coder> BandCoder<'_, C> {
             fixed_of(&values[c + 1], range, &mut ycc[c]);
         }
         self.lists.push(&planes, mask, &codes, &ycc, &alphas);
-        if self.has_edges {
-            self.edges.push(edges);
-        }
         coded
-    }
-
-    /// A layer without matter.
-    pub(super) fn nothing(&mut self, means: [f32; 4]) -> CodedLayer {
-        if self.has_edges {
-            self.edges.push(means.map(Edges::flat));
-        }
-        CodedLayer { means, classes: [0; 4], mask: 0 }
     }
 
     /// Fetches what the reference has between two planes; the lists that have any.

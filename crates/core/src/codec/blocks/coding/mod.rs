@@ -6,7 +6,6 @@ mod layer;
 
 use super::super::error::{CodecError, at_most};
 use super::band::{Band, OpenBlock, Planes};
-use super::edges::EdgeRows;
 use super::entropy::Coder;
 use super::model::{BLOCK, BandPlace, BlockLayer, DepthPlane};
 use super::motion::{CameraMotion, Shift};
@@ -73,10 +72,6 @@ pub(super) struct BandCoder<'a, C> {
     band: Band,
     /// Beside the planes of the band.
     layers: Vec<CodedLayer>,
-    /// Whether planes are predicted from the edges of those beside, and these edges. The few planes of a predicted frame that
-    /// are not predicted from its reference would be predicted worse.
-    has_edges: bool,
-    edges: EdgeRows,
     /// How each block came to its planes.
     origins: Vec<Origin>,
     lists: OpenBlock,
@@ -100,8 +95,6 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             reference,
             band: Band::new(place, num_cells),
             layers: Vec::new(),
-            has_edges: reference.is_none(),
-            edges: EdgeRows::default(),
             origins: Vec::new(),
             lists: OpenBlock::default(),
             fetched: Fetched::new(),
@@ -117,7 +110,6 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     ) -> Result<(C, Band, Vec<Origin>), CodecError> {
         let mut plan = Plan::default();
         for y in 0..self.place.num_rows {
-            self.edges.begin_row(self.layers.len());
             for x in 0..self.place.across {
                 self.block(x, y, source, &mut plan);
                 at_most("segments in a chunk", self.band.num_cells(), limit)?;
@@ -230,10 +222,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             return false;
         }
         self.band.copy(band, block);
-        for _ in self.layers.len()..self.band.planes.len() {
-            let coded = self.nothing([0.0; 4]);
-            self.layers.push(coded);
-        }
+        self.layers.resize(self.band.planes.len(), CodedLayer::without_matter([0.0; 4]));
         self.origins.push(Origin::Copied);
         true
     }
