@@ -1,5 +1,6 @@
-//! Checks that a module uses only those above it: in core as docs/ARCHITECTURE.md lists them, in the viewer as its lib.rs
-//! does. Checks that the viewer's panels use only what they share, and that no crate has two types of one name.
+//! Checks that a module uses only those above it: in core as docs/ARCHITECTURE.md lists them, in the codec and its folders
+//! as their mod.rs do, and in the viewer as its lib.rs does. Checks that the viewer's panels use only what they share,
+//! and that no crate has two types of one name.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -158,6 +159,45 @@ fn modules_use_only_those_above_them() {
         let reversed: Vec<_> = order.iter().rev().cloned().collect();
         assert!(violations(&sources, &reversed).len() > 20);
         assert_eq!(violations(&sources, &order[1..]).len(), 1, "one module is left out");
+    }
+}
+
+/// What files of a folder of core use below themselves in the order of the folder, or of the folder's own mod.rs.
+fn violations_within(sources: &[Source], folder: &[&str], order: &[String]) -> BTreeSet<String> {
+    let name = |module: &[String]| {
+        let is_inside = module.len() > folder.len() && folder.iter().eq(&module[..folder.len()]);
+        is_inside.then(|| module[folder.len()].clone())
+    };
+    let place = |name: &String| order.iter().position(|other| other == name);
+    let mut found = BTreeSet::new();
+    for source in sources {
+        let Some(own) = name(&source.module) else { continue };
+        let Some(own_place) = place(&own) else {
+            found.insert(format!("{own} is not in the order"));
+            continue;
+        };
+        for used in &source.uses {
+            let Some(used_name) = name(used) else { continue };
+            if place(&used_name).is_none_or(|used_place| used_place > own_place) {
+                found.insert(format!("{} uses {}", source.module.join("::"), used.join("::")));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn files_of_the_codec_use_only_those_above_them() {
+    let (sources, _) = core();
+    for (folder, least) in [(&["codec"][..], 6), (&["codec", "exact"], 6), (&["codec", "blocks"], 15)] {
+        let page = root().join("crates/core/src").join(folder.join("/")).join("mod.rs");
+        let order = order_in(&read(&page), "uses only those above it");
+        assert!(order.len() > least, "{order:?}");
+        assert_eq!(violations_within(&sources, folder, &order), BTreeSet::new(), "{order:?}");
+        // The control: the other way around hardly anything is right.
+        let reversed: Vec<_> = order.iter().rev().cloned().collect();
+        assert!(violations_within(&sources, folder, &reversed).len() > least);
+        assert!(!violations_within(&sources, folder, &order[1..]).is_empty());
     }
 }
 

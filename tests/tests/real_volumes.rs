@@ -8,8 +8,8 @@ use std::path::Path;
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::{
-    assemble,
     blocks::{self, References},
+    decode_with,
 };
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::image_error::compare;
@@ -249,7 +249,7 @@ fn a_real_volume_goes_through_blocks() {
         let reference = references.newest().cloned();
         let (encoded, decoded) = blocks::encode(&frame, &settings, reference.as_deref()).unwrap();
         let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
-        let (found, reference) = assemble(&chunks, &references).unwrap().to_frame_and_reference(None);
+        let (found, reference) = decode_with(&chunks, &references, None).unwrap();
         found.validate().unwrap();
         let reference = reference.unwrap();
         assert!(*reference == decoded && found == decoded.to_frame(), "frame {id}");

@@ -7,7 +7,7 @@
 //! A module uses only those above it in the table of docs/ARCHITECTURE.md; `tests/tests/module_order.rs` checks that.
 
 #[macro_use]
-mod width;
+mod simd;
 
 pub mod camera;
 pub mod cancel;

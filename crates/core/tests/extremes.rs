@@ -42,7 +42,7 @@ fn through_everything(scene: &Scene, pose: Pose) -> Picture {
     for k in [1, 3] {
         let made = generate(scene, FrameHeader::alone(camera, k));
         made.validate().unwrap();
-        let encoded = codec::encode(&made, &codec::Settings::default()).unwrap();
+        let encoded = codec::encode(&made).unwrap();
         let chunks: Vec<_> = encoded.chunks.iter().map(|c| &c.bytes).collect();
         let decoded = codec::decode(&chunks).unwrap();
         assert!(is_finite(&raycast(&decoded, &bounds, &camera)), "{k} {pose:?}");

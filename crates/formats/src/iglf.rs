@@ -233,7 +233,7 @@ mod tests {
     use std::fs;
 
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
-    use isinglass_core::codec::{Settings, encode};
+    use isinglass_core::codec::encode;
 
     use isinglass_core::layer::{FrameHeader, Segment};
 
@@ -268,7 +268,7 @@ mod tests {
     fn what_is_written_is_read_and_replaces_what_was_there() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
-        let encoded = encode(&frame(), &Settings::default()).unwrap();
+        let encoded = encode(&frame()).unwrap();
         write(&path, &encoded, &Origin::default()).unwrap();
         assert_eq!(read(&path).unwrap().origin, Origin::default());
         let bounds = Aabb { min: Vec3::new(-1.0, -2.0, -3.5), max: Vec3::new(1.0, 0.5, 4.0) };
@@ -286,7 +286,7 @@ mod tests {
             assert_eq!(read(&path).unwrap().origin, Origin::default(), "{bounds:?}");
         }
         assert_eq!(decoded.depth, frame().depth);
-        assert_eq!(encode(&decoded, &Settings::default()).unwrap(), encoded);
+        assert_eq!(encode(&decoded).unwrap(), encoded);
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
@@ -296,7 +296,7 @@ mod tests {
         let path = dir.path().join("a.iglf");
         let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
         let origin = Origin { orientation: Some("RAS".into()), bounds: Some(bounds) };
-        let mut bytes = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), &origin);
+        let mut bytes = to_bytes(&encode(&frame()).unwrap(), &origin);
         fs::write(&path, &bytes).unwrap();
         let newest = read(&path).unwrap();
         bytes[4] = 2;
@@ -314,7 +314,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.iglf");
         assert!(matches!(read(&path), Err(IglfError::Io { .. })));
-        let good = to_bytes(&encode(&frame(), &Settings::default()).unwrap(), &Origin::default());
+        let good = to_bytes(&encode(&frame()).unwrap(), &Origin::default());
         for len in (0..good.len()).step_by(97).chain(0..39) {
             assert!(matches!(error(&path, &good[..len]), IglfError::Malformed { .. }), "{len}");
         }
@@ -330,7 +330,7 @@ mod tests {
         bytes[39] = b'X';
         assert!(matches!(error(&path, &bytes), IglfError::Codec { .. }));
         // The last chunk is missing.
-        let mut encoded = encode(&frame(), &Settings::default()).unwrap();
+        let mut encoded = encode(&frame()).unwrap();
         encoded.chunks.pop();
         assert!(matches!(
             error(&path, &to_bytes(&encoded, &Origin::default())),

@@ -13,7 +13,6 @@ use isinglass_bench::progress::note;
 use isinglass_bench::scenes::distinct;
 use isinglass_client::{ViewerOptions, WindowOptions};
 use isinglass_core::camera::Intrinsics;
-use isinglass_core::codec;
 use isinglass_core::codec::blocks::MAX_TURN_DEG;
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::layer::FrameHeader;
@@ -236,7 +235,6 @@ fn run_quality(args: QualityArgs) -> Result<()> {
         reconstructions: distinct(args.reconstruction),
         backend: args.backend,
         frame_intrinsics: Intrinsics { width, height, ..common.intrinsics() },
-        codec: codec::Settings::default(),
         measures_wire: args.wire == Switch::On,
     })?;
     common.publish(&report, &quality::table(&report), &report.conditions.subject.failed)

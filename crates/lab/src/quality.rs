@@ -41,8 +41,6 @@ pub struct QualityOptions {
     pub backend: BackendChoice,
     /// Frame size: columns and rows of lists. The field of view is that of the pictures.
     pub frame_intrinsics: Intrinsics,
-    /// How frames are encoded.
-    pub codec: codec::Settings,
     /// Whether frames are also measured after encoding and decoding.
     pub measures_wire: bool,
 }
@@ -71,8 +69,6 @@ pub struct QualityConditions {
     pub subject: SubjectConditions,
     pub(crate) backend: String,
     pub(crate) frame_size: [u32; 2],
-    /// Bits of a colour channel on the wire.
-    pub(crate) color_bits: u8,
     /// Background of the pictures compared.
     pub(crate) background: &'static str,
 }
@@ -193,7 +189,6 @@ fn conditions(options: &QualityOptions, backend: &Backend, failed: Vec<String>) 
         subject: options.subject.conditions(rayon::current_num_threads(), failed),
         backend: backend.description(),
         frame_size: [options.frame_intrinsics.width, options.frame_intrinsics.height],
-        color_bits: options.codec.color_bits,
         background: "#000000",
     }
 }
@@ -239,7 +234,7 @@ fn measure_scene(
         for k in rule.ks(&options.subject.ks) {
             let camera = orbit.camera(options.frame_intrinsics, &bounds);
             let (frame, generate_ms) = timed(|| rule.generate(&mut renderer, FrameHeader::alone(camera, k)))?;
-            let made = Made::new(options, rule, k, frame, generate_ms)?;
+            let made = Made::new(rule, k, frame, generate_ms)?;
             for &method in methods.iter().filter(|m| **m != Method::LastImage) {
                 measure_method(backend, options, source, &made, method, &truth, rows)?;
             }
@@ -259,17 +254,11 @@ struct Made {
 }
 
 impl Made {
-    fn new(
-        options: &QualityOptions,
-        rule: Rule,
-        k: u8,
-        frame: LayeredFrame,
-        generate_ms: f64,
-    ) -> Result<Self, LabError> {
+    fn new(rule: Rule, k: u8, frame: LayeredFrame, generate_ms: f64) -> Result<Self, LabError> {
         let wire = if rule == Rule::AllSamples {
             None
         } else {
-            let encoded = codec::encode(&frame, &options.codec)?;
+            let encoded = codec::encode(&frame)?;
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
             Some((Arc::new(codec::decode(&chunks)?), encoded.num_bytes()))
         };

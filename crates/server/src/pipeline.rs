@@ -300,7 +300,7 @@ impl Pipeline {
         if let Some(at) = self.coding.as_ref().filter(|at| is_outdated(&at.of)) {
             at.of.wish.give_up();
         }
-        let is_exact = |t: &Ticket| matches!(t.sending.coding, Coding::Exact(_));
+        let is_exact = |t: &Ticket| matches!(t.sending.coding, Coding::Exact);
         if let Some(coded) = self.coded.take_if(|c| is_exact(&c.ticket) && is_outdated(&c.ticket)) {
             self.schedule.handle_dropped(Station::Send);
             self.journal.give_up(coded.generated.frame.header.frame);

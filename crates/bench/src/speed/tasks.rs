@@ -116,7 +116,7 @@ impl<'a> Tasks<'a> {
             let camera = orbit.camera(Intrinsics { width, height, ..subject.intrinsics }, &bounds);
             for &k in &subject.ks {
                 let header = FrameHeader::alone(camera, k);
-                let encoded = codec::encode(&renderer.generate(header)?, &codec::Settings::default())?;
+                let encoded = codec::encode(&renderer.generate(header)?)?;
                 let frame = Arc::new(decode(&encoded)?);
                 let caster = backend.reprojector(frame.clone(), &bounds)?;
                 frames.push(MadeFrame { header, encoded, frame, caster });
@@ -180,9 +180,7 @@ impl<'a> Tasks<'a> {
                 timed(backend, || Ok(renderer.render_through(&camera)?))
             }
             Task::Generate(i) => timed(backend, || Ok(renderer.generate_while(frames[i].header, ALWAYS)?)),
-            Task::Encode(i) => {
-                timed(backend, || Ok(codec::encode(&frames[i].frame, &codec::Settings::default())?))
-            }
+            Task::Encode(i) => timed(backend, || Ok(codec::encode(&frames[i].frame)?)),
             Task::Decode(i) => timed(backend, || decode(&frames[i].encoded)),
             Task::Prepare(i) => timed(backend, || Ok(backend.reprojector(frames[i].frame.clone(), bounds)?)),
             Task::View(i, angle, skips_empty_space) => {

@@ -1,51 +1,45 @@
-//! Where the bands of a frame end: at rows of tiles or of blocks, so that all of them take about as long.
+//! Where the bands of a frame end: at rows of tiles or of blocks, so that each band takes about as long.
 
 use std::ops::Range;
 
-use super::{CodecError, MAX_BANDS};
+use super::error::CodecError;
+use super::limits::MAX_CHUNKS;
 
 /// Where all bands but the last end, in rows of tiles or of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Borders {
-    ends: [u16; MAX_BANDS - 1],
+    ends: [u16; MAX_CHUNKS - 1],
     num: u8,
 }
 
 impl Borders {
-    /// Those of a frame in `num_bands` bands of about the same work, given that of each row. `None` for a frame of one band,
-    /// for one without work, and for one with fewer rows than bands.
-    pub(super) fn sharing(work: &[usize], num_bands: u8) -> Option<Self> {
-        let num = usize::from(num_bands).checked_sub(1).filter(|num| (1..MAX_BANDS).contains(num))?;
+    /// Those of `num_bands` bands of about the same work, given the work of each row. There are no fewer rows than bands.
+    pub(super) fn sharing(work: &[usize], num_bands: u8) -> Self {
+        let num = usize::from(num_bands).saturating_sub(1).min(MAX_CHUNKS - 1);
         let total: usize = work.iter().sum();
-        if total == 0 || work.len() < num + 1 {
-            return None;
-        }
-        let mut ends = [0; MAX_BANDS - 1];
+        let mut ends = [0; MAX_CHUNKS - 1];
         let (mut row, mut done) = (0, 0);
         for (n, end) in ends[..num].iter_mut().enumerate() {
             // A row at least for this band, and for each of those behind it.
-            let (least, most) = (row + 1, work.len() - (num - n));
+            let (least, most) = (row + 1, work.len().saturating_sub(num - n));
             let goal = total * (n + 1) / (num + 1);
             while row < least || (row < most && done + work[row] / 2 < goal) {
-                done += work[row];
+                done += work.get(row).copied().unwrap_or(0);
                 row += 1;
             }
             *end = row as u16;
         }
-        Some(Self { ends, num: num as u8 })
+        Self { ends, num: num as u8 }
     }
 
-    /// Takes them from the front of `bytes`: those of a frame in `num_bands` bands with so many rows.
+    /// Takes the borders of `num_bands` bands of `num_rows` rows from the front of `bytes`.
     pub(super) fn read(bytes: &mut &[u8], num_bands: u8, num_rows: usize) -> Result<Self, CodecError> {
         let damaged = |problem: String| CodecError::Payload { plane: "borders", problem };
-        let num = usize::from(num_bands).saturating_sub(1).min(MAX_BANDS - 1);
-        if num == 0 {
-            return Err(damaged("borders of one band".into()));
-        }
+        let num = usize::from(num_bands).saturating_sub(1).min(MAX_CHUNKS - 1);
         let Some((stated, rest)) = bytes.split_at_checked(2 * num) else {
             return Err(damaged(format!("{} bytes of borders, expected {}", bytes.len(), 2 * num)));
         };
-        let mut ends = [0; MAX_BANDS - 1];
+        let mut ends = [0; MAX_CHUNKS - 1];
         let mut last = 0;
         for (end, stated) in ends.iter_mut().zip(stated.as_chunks::<2>().0) {
             *end = u16::from_le_bytes(*stated);
@@ -59,20 +53,14 @@ impl Borders {
         Ok(Self { ends, num: num as u8 })
     }
 
-    /// As [`Borders::read`] takes them.
+    /// Writes what [`Borders::read`] takes.
     pub(super) fn write(&self, out: &mut Vec<u8>) {
         self.ends().iter().for_each(|end| out.extend(end.to_le_bytes()));
     }
 
-    /// Bytes that [`Borders::write`] takes.
-    pub(super) fn num_bytes(&self) -> usize {
-        2 * usize::from(self.num)
-    }
-
     /// The rows of a band, of a frame with so many.
-    pub(super) fn rows(&self, band: u8, num_rows: usize) -> Range<usize> {
+    pub(super) fn rows(&self, band: usize, num_rows: usize) -> Range<usize> {
         let end = |n: usize| self.ends().get(n).map_or(num_rows, |end| usize::from(*end));
-        let band = usize::from(band);
         let first = band.checked_sub(1).map_or(0, end);
         first..end(band)
     }
@@ -82,16 +70,27 @@ impl Borders {
     }
 }
 
+/// Cuts the first `n` elements off a slice: bands are written to where they stay in a frame.
+pub(super) fn split_off<'a, T>(slice: &mut &'a mut [T], n: usize) -> &'a mut [T] {
+    let (head, tail) = std::mem::take(slice).split_at_mut(n);
+    *slice = tail;
+    head
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn bands_share_the_work_and_have_every_row_once() {
-        for work in
-            [&[0, 0, 1, 9, 9, 8, 9, 7, 2, 0, 0, 0][..], &[8; 4], &[0, 0, 0, 0, 0, 9], &[9, 0, 0, 0, 0]]
-        {
-            let borders = Borders::sharing(work, 4).unwrap();
+        for work in [
+            &[0, 0, 1, 9, 9, 8, 9, 7, 2, 0, 0, 0][..],
+            &[8; 4],
+            &[0, 0, 0, 0, 0, 9],
+            &[9, 0, 0, 0, 0],
+            &[0; 9],
+        ] {
+            let borders = Borders::sharing(work, 4);
             let rows = [0, 1, 2, 3].map(|band| borders.rows(band, work.len()));
             assert!(rows.iter().all(|rows| !rows.is_empty()), "{rows:?}");
             assert!(rows.iter().cloned().flatten().eq(0..work.len()), "{rows:?}");
@@ -104,17 +103,11 @@ mod tests {
         }
         // No band has more than its share and a row; four of equal height have.
         let work = [0, 0, 1, 9, 9, 8, 9, 7, 2, 0, 0, 0];
-        let borders = Borders::sharing(&work, 4).unwrap();
+        let borders = Borders::sharing(&work, 4);
         let most = |rows: [Range<usize>; 4]| rows.map(|r| work[r].iter().sum::<usize>()).into_iter().max();
         assert!(most([0, 1, 2, 3].map(|b| borders.rows(b, 12))) <= Some(45 / 4 + 9));
         assert!(most([0..3, 3..6, 6..9, 9..12]) > Some(45 / 4 + 9));
-    }
-
-    #[test]
-    fn what_needs_no_borders_has_none() {
-        assert_eq!(Borders::sharing(&[8; 9], 1), None);
-        assert_eq!(Borders::sharing(&[0; 9], 4), None);
-        assert_eq!(Borders::sharing(&[8; 3], 4), None);
+        assert_eq!(Borders::sharing(&[8; 9], 1).rows(0, 9), 0..9);
     }
 
     #[test]
@@ -124,6 +117,7 @@ mod tests {
             Borders::read(&mut &bytes[..], num_bands, num_rows)
         };
         assert!(read(&[1, 2, 3], 4, 4).is_ok() && read(&[1, 2, 3, 4, 5, 6, 7], 8, 9).is_ok());
+        assert!(read(&[], 1, 4).is_ok());
         for (ends, num_bands, num_rows) in [
             (&[0, 2, 3][..], 4, 4),
             (&[1, 1, 3], 4, 4),
@@ -132,8 +126,6 @@ mod tests {
             (&[1, 2, u16::MAX], 4, 1024),
             (&[1, 2], 4, 4),
             (&[], 2, 4),
-            (&[1], 1, 4),
-            (&[1], 0, 4),
         ] {
             assert!(read(ends, num_bands, num_rows).is_err(), "{ends:?}");
         }

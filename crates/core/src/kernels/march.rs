@@ -31,13 +31,13 @@ use crate::clip::{Clip, Region};
 use crate::layer::Over;
 use crate::mode::{Isos, Mode};
 use crate::picture::Picture;
+use crate::simd::has_avx2;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
 pub use crate::volume::Shading;
 use crate::volume::{
     Bricks, Detail, Histogram, Illumination, LIT_MAX, Lighting, Lit, Matter, Occupancy, Volume,
 };
-use crate::width::has_avx2;
 
 /// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -49,8 +49,8 @@ use crate::clip::{Clip, Region};
 use crate::layer::{DEPTH_UNITS, LayeredFrame, Over};
 use crate::mode::Compositing;
 use crate::picture::Picture;
+use crate::simd::has_avx2;
 use crate::space::{Aabb, Ray};
-use crate::width::has_avx2;
 
 /// How a ray reads the lists that it runs between.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

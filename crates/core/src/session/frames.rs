@@ -6,7 +6,7 @@
 use super::look::LookServer;
 use super::rate::{CodingControl, CodingMode, CodingPlan, LinkState};
 use crate::camera::{Camera, Intrinsics};
-use crate::codec::{Coding, Settings};
+use crate::codec::Coding;
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::layer::{FrameHeader, max_lists};
 use crate::space::Aabb;
@@ -182,7 +182,7 @@ impl FramesServer {
         self.coding.handle_turned(asked.request.shown_turn_deg.filter(|_| !asked.is_again));
         let is_margin = self.shows_exactly(&asked.header);
         let coding = match is_margin {
-            true => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
+            true => Coding::Exact,
             false => self.coding.next(asked.header.camera.intrinsics.num_pixels(), has_reference),
         };
         Sending { asked, coding: coding.for_mode(mode), is_finer: false, is_margin }
@@ -191,7 +191,7 @@ impl FramesServer {
     /// A frame is coded.
     pub fn handle_encoded(&mut self, sending: &Sending, is_predicted: bool, bytes: usize, micros: u64) {
         // What a frame predicted from itself takes says nothing about others.
-        if !sending.is_finer || matches!(sending.coding, Coding::Exact(_)) {
+        if !sending.is_finer || matches!(sending.coding, Coding::Exact) {
             let num_lists = sending.asked.header.camera.intrinsics.num_pixels();
             self.coding.handle_encoded(&sending.coding, is_predicted, num_lists, bytes, micros);
         }
@@ -241,7 +241,7 @@ impl FramesServer {
     fn shows_exactly(&self, header: &FrameHeader) -> bool {
         let is_exact = self.sent.as_ref().is_some_and(|sent| {
             let of_sent = &sent.asked.header;
-            matches!(sent.coding, Coding::Exact(_))
+            matches!(sent.coding, Coding::Exact)
                 && of_sent.camera.pose == header.camera.pose
                 && is_same_picture(&of_sent.camera.intrinsics, &header.camera.intrinsics)
                 && of_sent.look == header.look
@@ -359,7 +359,7 @@ mod tests {
         assert_eq!(frames.finer_due(&looks), Some(REST_MICROS));
         assert_eq!(frames.poll_finer(REST_MICROS - 1, &looks), None);
         let finer = frames.poll_finer(REST_MICROS, &looks).unwrap();
-        assert!(finer.is_finer && matches!(finer.coding, Coding::Exact(_)));
+        assert!(finer.is_finer && matches!(finer.coding, Coding::Exact));
         assert_eq!((finer.asked.header.frame, frames.newest()), (FrameId(2), FrameId(2)));
         assert_eq!(frames.finer_due(&looks), None, "it is on its way");
         frames.handle_sent(finer.clone());
@@ -367,7 +367,7 @@ mod tests {
         // A margin around the exact picture is exact, too, and goes when the camera moves.
         let wide = PoseRequest { intrinsics: request(2, 0.0).intrinsics.with_margin(16), ..request(2, 0.0) };
         let margin = send(&mut frames, &looks, 200_000, &wide);
-        assert!(margin.is_margin && matches!(margin.coding, Coding::Exact(_)));
+        assert!(margin.is_margin && matches!(margin.coding, Coding::Exact));
         assert!(!FramesServer::is_outdated(&margin, &request(3, 0.0), looks.version()));
         assert!(FramesServer::is_outdated(&margin, &request(3, 0.1), looks.version()));
         assert!(FramesServer::is_outdated(&margin, &request(3, 0.0), LookVersion(2)));

@@ -4,8 +4,8 @@
 //! At rest, the same frame goes out again finer, and then exactly.
 
 use super::round_trip::{LeastRtt, is_longer};
+use crate::codec::Coding;
 use crate::codec::blocks::{self, RateControl};
-use crate::codec::{Coding, Settings};
 
 /// Which codings a connection uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -202,7 +202,7 @@ impl CodingControl {
             turned_deg.map(|t| ((MEANT * t).round() as u8).clamp(LEAST_TURN_DEG, blocks::MAX_TURN_DEG));
         let in_blocks = Coding::Blocks(blocks::Settings { turn_deg, ..blocks::Settings::of(quality) });
         match self.plan.mode {
-            CodingMode::Exact => Coding::default(),
+            CodingMode::Exact => Coding::Exact,
             CodingMode::Blocks => in_blocks,
             CodingMode::Auto => {
                 let bytes = self.control.expected_bytes(is_predicted, quality);
@@ -213,7 +213,7 @@ impl CodingControl {
                 let longer = (self.exact_micros.get() - self.blocks_micros.get()).max(0.0);
                 let later = longer * lists + (exact - bytes) * 1e6 / rate;
                 let may_be_later = (EXACT_SHARE_OF_INTERVAL * interval).max(making * EXACT_SHARE_OF_MAKING);
-                if later < may_be_later { Coding::default() } else { in_blocks }
+                if later < may_be_later { Coding::Exact } else { in_blocks }
             }
         }
     }
@@ -221,7 +221,6 @@ impl CodingControl {
     /// How a frame that was last sent as `sent` is sent once more, because the camera rests; `None` if it cannot be
     /// better.
     pub fn finer(&self, num_lists: usize, sent: &Coding) -> Option<Coding> {
-        let exact = Coding::Exact(Settings { num_groups: 1, ..Settings::default() });
         let at = |quality| Coding::Blocks(blocks::Settings::of(quality));
         let Coding::Blocks(last) = sent else { return None };
         match self.plan.mode {
@@ -234,7 +233,7 @@ impl CodingControl {
             CodingMode::Auto => {
                 let bytes = self.exact_bytes.get_or(EXACT_BYTES_PER_LIST) * num_lists as f64;
                 let takes_long = bytes / self.bytes_per_second() > LONG_SECONDS;
-                Some(if takes_long && last.quality < FINE_QUALITY { at(FINE_QUALITY) } else { exact })
+                Some(if takes_long && last.quality < FINE_QUALITY { at(FINE_QUALITY) } else { Coding::Exact })
             }
         }
     }
@@ -250,7 +249,7 @@ impl CodingControl {
     ) {
         let lists = num_lists.max(1) as f64;
         match coding {
-            Coding::Exact(_) => {
+            Coding::Exact => {
                 self.exact_micros.add(micros as f64 / lists);
                 self.exact_bytes.add(bytes as f64 / lists);
             }

@@ -28,8 +28,8 @@ pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use token::{Token, TokenError};
 
 /// Version of the protocol on a connection.
-pub const PROTOCOL_VERSION: u32 = 11;
+pub const PROTOCOL_VERSION: u32 = 12;
 /// Protocol name in the TLS handshake: peers of another version get no further.
-pub const ALPN: &[u8] = b"isinglass/11";
+pub const ALPN: &[u8] = b"isinglass/12";
 /// Length of the longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use isinglass_core::codec::{Coding, EncodedFrame, Settings, blocks};
+use isinglass_core::codec::{Coding, EncodedFrame, blocks};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Mode;
 use isinglass_core::orbit::Orbit;
@@ -89,11 +89,11 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
             "segments": frame.num_segments(),
             "bytes": encoded.num_bytes(),
             "codec": match coding {
-                Coding::Exact(_) => "exact",
+                Coding::Exact => "exact",
                 Coding::Blocks(_) => "blocks",
             },
             "quality": match coding {
-                Coding::Exact(_) => None,
+                Coding::Exact => None,
                 Coding::Blocks(settings) => Some(settings.quality),
             },
             "generate_ms": generate_ms,
@@ -108,8 +108,7 @@ fn encode(args: &CodecArgs, frame: &LayeredFrame) -> Result<(EncodedFrame, Codin
     let turn_deg = args.turn.map(|t| t.round() as u8);
     let in_blocks = |quality| blocks::Settings { turn_deg, ..blocks::Settings::of(quality) };
     let coding = match (args.codec, args.bytes) {
-        // A file needs no groups, because nobody waits for a part of it.
-        (CodecChoice::Exact, _) => Coding::Exact(Settings { num_groups: 1, ..Settings::default() }),
+        (CodecChoice::Exact, _) => Coding::Exact,
         (CodecChoice::Blocks, None) => Coding::Blocks(in_blocks(args.quality.unwrap_or(QUALITY))),
         (CodecChoice::Blocks, Some(bytes)) => {
             let (encoded, _, quality) = blocks::encode_within(frame, bytes, &in_blocks(0), None)?;

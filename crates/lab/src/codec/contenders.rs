@@ -1,7 +1,7 @@
 //! The measured codecs: the product's, raw segments with a general compressor, and image codecs on planes.
 
 use crate::rules::Rule;
-use isinglass_core::codec::{Coding, Settings, blocks};
+use isinglass_core::codec::{Coding, blocks};
 
 use super::layout::{Layout, Part};
 use super::ours::Ours;
@@ -36,7 +36,7 @@ impl Contender {
     /// Whether it codes frames of projections, whose lists may be out of depth order.
     pub(crate) fn takes_projections(&self) -> bool {
         match &self.way {
-            Way::Product(settings) => settings.iter().all(|(_, coding)| matches!(coding, Coding::Exact(_))),
+            Way::Product(settings) => settings.iter().all(|(_, coding)| matches!(coding, Coding::Exact)),
             Way::Raw(_) => true,
             Way::Planes(..) => false,
         }
@@ -57,12 +57,6 @@ pub(crate) fn all(turns_deg: &[Option<u8>]) -> Vec<Contender> {
 /// The modes of the product's codec, each with its settings.
 fn product(turns_deg: &[Option<u8>]) -> Vec<Contender> {
     let mode = |name, settings: Vec<(String, Coding)>| Contender { name, way: Way::Product(settings) };
-    let exact = [8, 10].into_iter().flat_map(|color_bits| {
-        [1, 2].map(|num_groups| {
-            let coding = Coding::Exact(Settings { color_bits, num_groups });
-            (format!("{color_bits} bits, {num_groups} groups"), coding)
-        })
-    });
     let blocks = turns_deg.iter().flat_map(|&turn_deg| {
         (0..=blocks::MAX_QUALITY).step_by(QUALITY_STEP).map(move |quality| {
             let seen_at = turn_deg.map_or_else(String::new, |turn| format!(", seen at {turn}°"));
@@ -70,7 +64,7 @@ fn product(turns_deg: &[Option<u8>]) -> Vec<Contender> {
             (format!("quality {quality}{seen_at}"), Coding::Blocks(settings))
         })
     });
-    vec![mode("blocks", blocks.collect()), mode("exact", exact.collect())]
+    vec![mode("blocks", blocks.collect()), mode("exact", vec![("exact".into(), Coding::Exact)])]
 }
 
 #[cfg(feature = "rivals")]

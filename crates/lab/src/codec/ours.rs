@@ -1,6 +1,6 @@
 //! The product's coding of planes, on planes of image codecs.
 
-use isinglass_core::codec::blocks::raster::Picture;
+use isinglass_core::codec::blocks::raster::BlockPicture;
 
 use super::raster::{Coded, ImageCodec, Raster, code_through_bytes};
 use crate::error::LabError;
@@ -25,7 +25,7 @@ impl ImageCodec for Ours {
     fn code(&self, raster: &Raster, level: usize) -> Result<Coded, LabError> {
         let &Raster { width, height, channels, bits, .. } = raster;
         let size = [width as usize, height as usize];
-        let picture = Picture { size, channels: channels.into(), step: STEPS[level], chroma: CHROMA };
+        let picture = BlockPicture { size, channels: channels.into(), step: STEPS[level], chroma: CHROMA };
         let samples: Vec<f32> = (0..raster.samples.len()).map(|i| raster.unit(i)).collect();
         let decode =
             |bytes: &[u8]| Ok(Raster::from_units([width, height], channels, bits, &picture.decode(bytes)?));

@@ -348,7 +348,7 @@ fn coders_of<'a>(contender: &'a Contender, judge: &'a Judge<'_>) -> Vec<Candidat
         Way::Product(settings) => {
             let is_taken = |coding: &Coding| match coding {
                 Coding::Blocks(of_blocks) => of_blocks.quality.is_multiple_of(SEQUENCE_STEP),
-                Coding::Exact(_) => false,
+                Coding::Exact => false,
             };
             let mut all = Vec::new();
             for (name, coding) in settings.iter().filter(|(_, coding)| is_taken(coding)) {
@@ -436,7 +436,7 @@ impl Coder for InBlocks<'_> {
         let mut kept = None;
         if is_kept {
             let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
-            let decode = || timed(|| Ok(codec::decode_with(&chunks, &self.references)?));
+            let decode = || timed(|| Ok(codec::decode_with(&chunks, &self.references, None)?.0));
             let (decoded, ms) = self.pool.install(decode)?;
             kept = Some(decoded);
             self.coded.decode_ms.push(ms);

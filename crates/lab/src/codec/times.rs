@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use isinglass_core::codec::blocks::{self, References};
-use isinglass_core::codec::{self, CodecError, Coding, Settings};
+use isinglass_core::codec::{self, CodecError, Coding};
 use isinglass_core::ids::FrameId;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_render::Renderer;
@@ -108,7 +108,7 @@ fn sequence(coding: &Coding, frames: &[LayeredFrame]) -> Result<(Times, Option<T
         let encode_ms = start.elapsed().as_secs_f64() * 1e3;
         let chunks: Vec<&[u8]> = encoded.chunks.iter().map(|c| &c.bytes[..]).collect();
         let start = Instant::now();
-        let (decoded, _) = codec::decode_in(&chunks, &references, spare)?;
+        let (decoded, _) = codec::decode_with(&chunks, &references, spare)?;
         let decode_ms = start.elapsed().as_secs_f64() * 1e3;
         // A client does the same.
         spare = Some(decoded);
@@ -134,17 +134,9 @@ impl Times {
 const DEGREES_PER_SECOND: f64 = 30.0;
 /// Frames of the orbit: one alone, and predicted ones until the number of kept planes has settled.
 const FRAMES: u32 = 4;
-const CODINGS: [(&str, Coding); 4] = [
-    ("blocks, quality 45", in_blocks(45)),
-    ("blocks, quality 90", in_blocks(90)),
-    ("exact, 1 group", exact(1)),
-    ("exact, 2 groups", exact(2)),
-];
+const CODINGS: [(&str, Coding); 3] =
+    [("blocks, quality 45", in_blocks(45)), ("blocks, quality 90", in_blocks(90)), ("exact", Coding::Exact)];
 
 const fn in_blocks(quality: u8) -> Coding {
     Coding::Blocks(blocks::Settings::of(quality))
-}
-
-const fn exact(num_groups: u8) -> Coding {
-    Coding::Exact(Settings { color_bits: 10, num_groups })
 }

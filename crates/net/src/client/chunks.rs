@@ -72,10 +72,9 @@ async fn read(
     Ok(())
 }
 
-/// Whether others can be predicted from the frame. Chunks that only correct it are exempt, because they may never
-/// come.
+/// Whether others can be predicted from the frame.
 fn is_predicting(header: &codec::ChunkHeader) -> bool {
-    header.is_rate() && header.num_chunks == header.num_base
+    !header.is_exact
 }
 
 fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
@@ -87,7 +86,7 @@ fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
         pose: header.frame.pose,
         index: header.index,
         num_chunks: header.num_chunks.into(),
-        num_base_chunks: header.num_base.into(),
+        num_base_chunks: header.num_chunks.into(),
     }
 }
 

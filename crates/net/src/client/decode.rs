@@ -5,8 +5,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use isinglass_core::codec::blocks::{Reference, References};
-use isinglass_core::codec::{self, Assembly, CodecError};
+use isinglass_core::codec;
+use isinglass_core::codec::blocks::References;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::session::chunks::DecodeJob;
 
@@ -15,8 +15,6 @@ use crate::work::Work;
 
 /// Decodes until the client stops.
 pub(super) fn run(shared: &Shared) {
-    // The frame of the previous job, for its refinements in the next one.
-    let mut assembly = None;
     let mut references = References::default();
     let mut given = Given::default();
     let mut connection = 0;
@@ -29,29 +27,25 @@ pub(super) fn run(shared: &Shared) {
             references.clear();
             given = Given::default();
         }
-        if job.is_first {
-            assembly = None;
-        }
         // Even a panic costs only one frame.
         let begun_micros = shared.clock.now_micros();
-        let mut spare = given.take();
+        let spare = given.take();
         let attempt = shared.after_work.run(Work::Decode, || {
-            catch_unwind(AssertUnwindSafe(|| decode(&mut assembly, &job, &references, &mut spare)))
+            catch_unwind(AssertUnwindSafe(|| codec::decode_with(&job.chunks, &references, spare)))
         });
         let decoded = match attempt {
             Ok(decoded) => decoded.map_err(|e| e.to_string()),
             Err(_) => Err("the decoder has failed".into()),
         };
-        let decoded = match decoded {
+        let (frame, reference) = match decoded {
             Ok(decoded) => decoded,
             Err(problem) => {
                 shared.note_broken_chunk(format!("frame {} cannot be decoded: {problem}", job.frame));
                 shared.chunks().handle_broken(job.connection, job.frame);
-                assembly = None;
                 continue;
             }
         };
-        let Some(Decoded { frame, reference, is_exact }) = decoded else { continue };
+        let is_exact = reference.is_none();
         if let Some(reference) = reference {
             references.insert(reference);
         }
@@ -106,34 +100,6 @@ impl Given {
         let at = self.0.iter().position(|frame| Arc::strong_count(frame) == 1)?;
         Some(Arc::into_inner(self.0.remove(at)?)?.frame)
     }
-}
-
-struct Decoded {
-    frame: LayeredFrame,
-    /// Set if the frame is complete and others may be predicted from it.
-    reference: Option<Arc<Reference>>,
-    is_exact: bool,
-}
-
-/// Adds the job's chunks to the frame, or begins one in recycled memory. `None` without any chunks.
-fn decode(
-    assembly: &mut Option<Assembly>,
-    job: &DecodeJob,
-    references: &References,
-    spare: &mut Option<LayeredFrame>,
-) -> Result<Option<Decoded>, CodecError> {
-    if job.is_first
-        && let Some(frame) = codec::decode_whole(&job.chunks, spare)?
-    {
-        return Ok(Some(Decoded { frame, reference: None, is_exact: true }));
-    }
-    for chunk in codec::decode_chunks(&job.chunks, references)? {
-        assembly.get_or_insert_with(|| Assembly::new(chunk.header())).insert(chunk)?;
-    }
-    Ok(assembly.as_ref().map(|assembly| {
-        let (frame, reference) = assembly.to_frame_and_reference(spare.take());
-        Decoded { frame, reference, is_exact: assembly.is_exact() }
-    }))
 }
 
 /// The viewer shows the newest, may still use the previous one, and may keep one more.

@@ -32,8 +32,8 @@ impl FrameSender {
         Self { link, _close: close }
     }
 
-    /// Hands a frame over, and returns when the network has taken its base. Refinements follow until they are
-    /// complete or a newer frame is handed over. Frame numbers must ascend from 1.
+    /// Hands a frame over, and returns when the network has taken it or a newer frame is handed over. Frame numbers must
+    /// ascend from 1.
     ///
     /// If the future is dropped, the frame is given up.
     ///
@@ -110,16 +110,15 @@ impl FrameSender {
         link.talk.lock_quietly().chunks.handle_base_handed(frame);
         link.progress.send_replace(());
         // Later frames may be predicted from this one, so it must arrive before them.
-        let is_kept = chunks.first().is_some_and(|c| codec::peek(&c.bytes).is_ok_and(|h| h.is_rate()));
-        let (base, refinements): (Vec<_>, Vec<_>) = chunks.into_iter().partition(|c| c.is_base);
+        let is_kept = chunks.first().is_some_and(|c| codec::peek(&c.bytes).is_ok_and(|h| !h.is_exact));
         let rank = match (is_kept, is_finer) {
             (true, _) => Rank::Predicting,
             (false, false) => Rank::Base,
             (false, true) => Rank::Refinement,
         };
         let writing = Writing::of(link);
-        let mut streams = Vec::with_capacity(base.len());
-        for chunk in base {
+        let mut streams = Vec::with_capacity(chunks.len());
+        for chunk in chunks {
             let mut stream = ChunkStream::open(link, frame, &chunk, rank).await?;
             stream.write(link, &chunk.bytes).await?;
             streams.push(stream);
@@ -129,10 +128,6 @@ impl FrameSender {
         tracing::trace!("base taken");
         let watched = link.clone();
         tokio::spawn(async move { deliver_base(&watched, frame, streams, is_kept).await }.in_current_span());
-        if !refinements.is_empty() {
-            let link = link.clone();
-            tokio::spawn(async move { send_refinements(&link, frame, refinements).await }.in_current_span());
-        }
         Ok(())
     }
 }
@@ -150,34 +145,6 @@ async fn deliver_base(link: &ViewerLink, frame: FrameId, streams: Vec<ChunkStrea
         }
         () = superseded(link, frame, true), if !is_kept => drop(streams),
     }
-}
-
-/// Writes refinements in order, until a newer frame is handed over.
-async fn send_refinements(link: &ViewerLink, frame: FrameId, chunks: Vec<Chunk>) {
-    let mut streams = Vec::with_capacity(chunks.len());
-    let writing = async {
-        let _writing = Writing::of(link);
-        for chunk in &chunks {
-            let mut stream = ChunkStream::open(link, frame, chunk, Rank::Refinement).await?;
-            stream.write(link, &chunk.bytes).await?;
-            streams.push(stream);
-        }
-        Ok::<_, SessionClosed>(())
-    };
-    tokio::select! {
-        biased;
-        // Dropping the writer resets its current stream.
-        () = superseded(link, frame, false) => {}
-        written = writing => if written.is_err() { return },
-    }
-    // Streams delivered by then stay. Their delivery is not awaited one by one: quinn would remember a question
-    // for each reset stream as long as the connection lasts.
-    tokio::select! {
-        biased;
-        () = superseded(link, frame, false) => tracing::trace!("refinements given up, if any are left"),
-        _ = link.connection.closed() => {}
-    }
-    drop(streams);
 }
 
 /// Marks that a frame is being written.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::codec::{self, EncodedFrame, Settings};
+use isinglass_core::codec::{self, EncodedFrame};
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::layer::{FrameHeader, LayeredFrame, Segment};
 use isinglass_core::look::Look;
@@ -70,7 +70,7 @@ pub(crate) fn frame(frame: FrameId, pose_id: PoseId, pose: Pose, intrinsics: Int
 }
 
 pub(crate) fn encoded(id: FrameId, pose_id: PoseId, pose: Pose, intrinsics: Intrinsics) -> EncodedFrame {
-    codec::encode(&frame(id, pose_id, pose, intrinsics), &Settings::default()).unwrap()
+    codec::encode(&frame(id, pose_id, pose, intrinsics)).unwrap()
 }
 
 pub(crate) fn server() -> Server {

@@ -1,7 +1,6 @@
 //! The decoded blocks of a band: what the client shows, and what later frames are predicted from.
 
-use super::coding::Place;
-use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS, lists_of};
+use super::model::{BLOCK, BLOCK_LISTS, BandPlace, DepthPlane, MAX_LAYERS, lists_of};
 use super::scales::whole;
 
 /// Front and back of a layer.
@@ -17,7 +16,7 @@ pub(super) struct Band {
     /// Layers of the blocks.
     pub(super) planes: Vec<Planes>,
     /// Those of them that have cells, block by block and front to back.
-    layers: Vec<Layer>,
+    layers: Vec<CellLayer>,
     /// Of each of these, for its rows that have cells: the fronts of all lists, their backs, codes of u, Y, Co and Cg. Lists
     /// without a cell have zeros.
     cells: Vec<u16>,
@@ -37,7 +36,7 @@ pub(super) struct Block {
 
 /// A layer of a block that has cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Layer {
+pub(super) struct CellLayer {
     /// The lists with a cell.
     pub(super) mask: u64,
     /// Where the first cell begins and the last one ends.
@@ -49,7 +48,7 @@ pub(super) struct Layer {
 
 /// The cells of a layer, the parts of a block's lists in it, as they are decoded: front and back in depth units, the code of
 /// u, from 1 on, and Y, Co, Cg in units of 1/8192, which have signs. A list without a cell has zeros.
-pub(super) type Cells = [[u16; BLOCK_LISTS]; NUM_PLANES];
+pub(super) type CellPlanes = [[u16; BLOCK_LISTS]; NUM_PLANES];
 
 impl Band {
     /// Memory that its contents are counted as, on both sides alike.
@@ -60,14 +59,8 @@ impl Band {
             + BYTES_OF_CELL * self.num_cells
     }
 
-    /// An empty band that is counted as so many bytes, or a few less.
-    #[cfg(test)]
-    pub(super) fn counted_as(num_bytes: usize) -> Self {
-        Self { across: 1, num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
-    }
-
     /// A band without blocks yet, with memory for so many and about so many cells.
-    pub(super) fn new(place: Place, num_cells: usize) -> Self {
+    pub(super) fn new(place: BandPlace, num_cells: usize) -> Self {
         let num_blocks = place.across * place.num_rows;
         Self {
             across: place.across,
@@ -113,7 +106,7 @@ impl Band {
     }
 
     /// Changes the cells of a block, layer by layer. Nothing stays nothing.
-    pub(super) fn change(&mut self, block: usize, mut change: impl FnMut(&mut Cells)) {
+    pub(super) fn change(&mut self, block: usize, mut change: impl FnMut(&mut CellPlanes)) {
         for layer in &self.layers[self.filled(block)] {
             let own = &mut self.cells[layer.words()];
             match own.as_chunks_mut().0.first_chunk_mut() {
@@ -132,21 +125,21 @@ impl Band {
         let (first_plane, first_layer) = (self.planes.len(), self.layers.len());
         self.planes.extend_from_slice(&other.planes[other.layers(block)]);
         for layer in &other.layers[other.filled(block)] {
-            self.layers.push(Layer { first_row: self.num_rows() as u32, ..*layer });
+            self.layers.push(CellLayer { first_row: self.num_rows() as u32, ..*layer });
             self.cells.extend_from_slice(&other.cells[layer.words()]);
         }
         self.push_block(first_plane, first_layer);
     }
 
     /// Appends a block, whose planes are those from `first_plane` on.
-    pub(super) fn push(&mut self, first_plane: usize, lists: &mut Lists) {
+    pub(super) fn push(&mut self, first_plane: usize, lists: &mut OpenBlock) {
         let first_layer = self.layers.len();
         for (mask, cells) in &mut lists.layers[..lists.num_layers] {
             if *mask == 0 {
                 continue;
             }
             let (front, back) = clean(cells, *mask);
-            let layer = Layer { mask: *mask, front, back, first_row: self.num_rows() as u32 };
+            let layer = CellLayer { mask: *mask, front, back, first_row: self.num_rows() as u32 };
             let words = layer.words();
             self.cells.resize(words.end, 0);
             layer.write(cells, &mut self.cells[words]);
@@ -170,11 +163,11 @@ impl Band {
 
 wide! {
     /// Sets to zero what lists outside of the mask have. Returns where the first cell begins and the last one ends.
-    fn clean(cells: &mut Cells, mask: u64) -> (u16, u16) = clean_any;
+    fn clean(cells: &mut CellPlanes, mask: u64) -> (u16, u16) = clean_any;
 }
 
 #[inline(always)]
-fn clean_any(cells: &mut Cells, mask: u64) -> (u16, u16) {
+fn clean_any(cells: &mut CellPlanes, mask: u64) -> (u16, u16) {
     let mut kept = [0u16; BLOCK_LISTS];
     for (i, kept) in kept.iter_mut().enumerate() {
         *kept = if mask >> i & 1 == 1 { u16::MAX } else { 0 };
@@ -191,7 +184,7 @@ fn clean_any(cells: &mut Cells, mask: u64) -> (u16, u16) {
     (first, cells[1].iter().fold(0, |last, back| last.max(*back)))
 }
 
-impl Layer {
+impl CellLayer {
     /// The first bit of each row of lists that has a cell.
     #[inline(always)]
     fn rows(&self) -> u64 {
@@ -209,7 +202,7 @@ impl Layer {
 
     /// The cells, from the layer's own words.
     #[inline(always)]
-    fn spread(&self, own: &[u16]) -> Cells {
+    fn spread(&self, own: &[u16]) -> CellPlanes {
         let mut cells = NO_CELLS;
         for (plane, own) in cells.iter_mut().zip(own.chunks_exact(own.len() / NUM_PLANES)) {
             for (first, row) in lists_of(self.rows()).zip(own.chunks_exact(BLOCK)) {
@@ -219,9 +212,9 @@ impl Layer {
         cells
     }
 
-    /// Inverse of [`Layer::spread`].
+    /// Inverse of [`CellLayer::spread`].
     #[inline(always)]
-    fn write(&self, cells: &Cells, own: &mut [u16]) {
+    fn write(&self, cells: &CellPlanes, own: &mut [u16]) {
         match own.as_chunks_mut().0.first_chunk_mut() {
             Some(all) => *all = *cells,
             None => {
@@ -239,7 +232,7 @@ impl Layer {
 /// The cells of a block, layer by layer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellsOf<'a> {
-    pub(super) layers: &'a [Layer],
+    pub(super) layers: &'a [CellLayer],
     /// Of all the band.
     cells: &'a [u16],
 }
@@ -252,29 +245,32 @@ impl<'a> CellsOf<'a> {
 
     /// To look at the cells of each layer. `spread` is scratch memory.
     #[inline(always)]
-    pub(super) fn walk(self, spread: &'a mut Cells) -> Walk<'a> {
-        Walk { layers: self.layers.iter(), cells: self.cells, spread }
+    pub(super) fn walk(self, spread: &'a mut CellPlanes) -> LayerWalk<'a> {
+        LayerWalk { layers: self.layers.iter(), cells: self.cells, spread }
     }
 }
 
 /// Goes from layer to layer of a block.
-pub(super) struct Walk<'a> {
-    layers: std::slice::Iter<'a, Layer>,
+pub(super) struct LayerWalk<'a> {
+    layers: std::slice::Iter<'a, CellLayer>,
     cells: &'a [u16],
     /// The cells of a layer that has none in some row.
-    spread: &'a mut Cells,
+    spread: &'a mut CellPlanes,
 }
 
-impl Walk<'_> {
+impl LayerWalk<'_> {
     /// The next layer.
     #[inline(always)]
-    pub(super) fn next(&mut self) -> Option<(&Layer, &Cells)> {
+    pub(super) fn next(&mut self) -> Option<(&CellLayer, &CellPlanes)> {
         self.next_of(|_| true)
     }
 
     /// The next layer that is wanted.
     #[inline(always)]
-    pub(super) fn next_of(&mut self, is_wanted: impl Fn(&Layer) -> bool) -> Option<(&Layer, &Cells)> {
+    pub(super) fn next_of(
+        &mut self,
+        is_wanted: impl Fn(&CellLayer) -> bool,
+    ) -> Option<(&CellLayer, &CellPlanes)> {
         let layer = self.layers.by_ref().find(|layer| is_wanted(layer))?;
         let own = &self.cells[layer.words()];
         let cells = own.as_chunks().0.first_chunk().unwrap_or_else(|| {
@@ -288,9 +284,9 @@ impl Walk<'_> {
 /// The layers of the block that is being coded.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-pub(super) struct Lists {
+pub(super) struct OpenBlock {
     /// With the lists that have a cell. What others have means nothing.
-    layers: Box<[(u64, Cells); MAX_LAYERS]>,
+    layers: Box<[(u64, CellPlanes); MAX_LAYERS]>,
     num_layers: usize,
     /// Where the last cell of each list ends; 0 for none.
     last: [f32; BLOCK_LISTS],
@@ -298,7 +294,7 @@ pub(super) struct Lists {
     pub(super) kappa: [f32; BLOCK_LISTS],
 }
 
-impl Default for Lists {
+impl Default for OpenBlock {
     fn default() -> Self {
         Self {
             layers: Box::new([(0, NO_CELLS); MAX_LAYERS]),
@@ -309,7 +305,7 @@ impl Default for Lists {
     }
 }
 
-impl Lists {
+impl OpenBlock {
     pub(super) fn clear(&mut self) {
         self.num_layers = 0;
         self.last = [0.0; BLOCK_LISTS];
@@ -342,7 +338,7 @@ impl Lists {
 wide! {
     /// Places the cells of a layer behind the `last` of each list. Returns which lists get theirs.
     fn place(
-        cells: &mut Cells,
+        cells: &mut CellPlanes,
         planes: &Planes,
         mask: u64,
         alphas: &[f32; BLOCK_LISTS],
@@ -353,7 +349,7 @@ wide! {
 
 #[inline(always)]
 fn place_any(
-    cells: &mut Cells,
+    cells: &mut CellPlanes,
     planes: &Planes,
     mask: u64,
     alphas: &[f32; BLOCK_LISTS],
@@ -386,16 +382,11 @@ pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The row of blocks that a row of lists is in.
-pub(super) fn blocks_along(side: u32) -> usize {
-    (side as usize).div_ceil(BLOCK)
-}
-
 /// The first list of each row of a block.
 const FIRST_OF_ROWS: u64 = u64::from_ne_bytes([1; 8]);
 /// Words of a list's cell, and of a row of these.
 const NUM_PLANES: usize = 6;
-pub(super) const NO_CELLS: Cells = [[0; BLOCK_LISTS]; NUM_PLANES];
+pub(super) const NO_CELLS: CellPlanes = [[0; BLOCK_LISTS]; NUM_PLANES];
 const WORDS_OF_ROW: usize = NUM_PLANES * BLOCK;
 /// What the parts of a band are counted as, in bytes, whatever memory they take.
 const BYTES_OF_BLOCK: usize = 16;
@@ -408,10 +399,18 @@ const MAX_FRONT: f32 = 65500.0;
 const MAX_BACK: f32 = 65535.0;
 
 #[cfg(test)]
+impl Band {
+    /// An empty band that is counted as so many bytes, or a few less.
+    pub(super) fn counted_as(num_bytes: usize) -> Self {
+        Self { across: 1, num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
-    const PLACE: Place = Place { across: 2, first_row: 0, num_rows: 2, size: [16, 16] };
+    const PLACE: BandPlace = BandPlace { across: 2, first_row: 0, num_rows: 2, size: [16, 16] };
     const PLANES: Planes =
         (DepthPlane { z: 3000.0, dx: 5.0, dy: -4.0 }, DepthPlane { z: 5000.0, dx: 5.0, dy: 7.0 });
     /// All lists, none, one, a row, two in rows that do not touch.
@@ -419,7 +418,7 @@ mod tests {
 
     /// A band of a block for each mask and one with all of them, and what these blocks have: the masks that are not empty.
     fn band() -> (Band, Vec<Vec<u64>>) {
-        let (mut band, mut lists) = (Band::new(PLACE, 100), Lists::default());
+        let (mut band, mut lists) = (Band::new(PLACE, 100), OpenBlock::default());
         let alone = MASKS.iter().map(|mask| vec![*mask]);
         let blocks: Vec<Vec<u64>> = alone.chain([MASKS.to_vec()]).collect();
         for masks in &blocks {
@@ -441,7 +440,7 @@ mod tests {
         (deeper(PLANES.0), deeper(PLANES.1))
     }
 
-    fn found(band: &Band, block: usize) -> Vec<(u64, Cells)> {
+    fn found(band: &Band, block: usize) -> Vec<(u64, CellPlanes)> {
         let (mut spread, mut found) = (NO_CELLS, vec![]);
         let mut walk = band.cells_of(block).walk(&mut spread);
         while let Some((layer, cells)) = walk.next() {

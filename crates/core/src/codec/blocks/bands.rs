@@ -1,14 +1,13 @@
-//! Bands of blocks that take about as long.
+//! Bands of rows of blocks, such that each takes about as long to code.
 
-use super::super::MAX_CHUNK_SEGMENTS;
 use super::super::bands::Borders;
-use super::band::blocks_along;
-use super::model::{BLOCK, BLOCK_LISTS};
+use super::super::limits::MAX_CHUNK_SEGMENTS;
+use super::model::{BLOCK, BLOCK_LISTS, blocks_along};
 use crate::layer::LayeredFrame;
 
-/// Where the bands of a frame end, in rows of blocks. `None` where [`Borders::sharing`] has none, and for a frame so large that a
-/// band would have more blocks than a chunk may correct: bands of equal height have no more.
-pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Option<Borders> {
+/// Where the bands of a frame end, in rows of blocks. Bands are equally high where one would have more blocks than a chunk
+/// may correct.
+pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Borders {
     let intrinsics = frame.header.camera.intrinsics;
     let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
     let (across, down) = (blocks_along(intrinsics.width), blocks_along(intrinsics.height));
@@ -26,10 +25,14 @@ pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Option<Borders> {
             longest.chunks(BLOCK).map(|columns| work_of(of_block(columns))).sum()
         })
         .collect();
-    let borders = Borders::sharing(&work, num_bands)?;
+    let borders = Borders::sharing(&work, num_bands);
     let most = MAX_CHUNK_SEGMENTS / BLOCK_LISTS;
-    let is_within = |band: u8| borders.rows(band, down).len() * across <= most;
-    (0..num_bands).all(is_within).then_some(borders)
+    let is_within = |band| borders.rows(band, down).len() * across <= most;
+    if (0..usize::from(num_bands)).all(is_within) {
+        borders
+    } else {
+        Borders::sharing(&vec![1; down], num_bands)
+    }
 }
 
 /// About how long a block takes whose longest list has so many segments: time goes by its layers, which are not many more.
@@ -69,19 +72,18 @@ mod tests {
     fn blocks_without_matter_are_no_work() {
         // Rows of eight blocks, of which two hold anything: each band gets one of these.
         let rows = |per_list: &[u32]| {
-            let borders = borders(&frame(64, per_list), 2).unwrap();
+            let borders = borders(&frame(64, per_list), 2);
             [0, 1].map(|band| borders.rows(band, per_list.len()))
         };
         assert_eq!(rows(&[0, 0, 0, 0, 1, 1]), [0..5, 5..6]);
         assert_eq!(rows(&[1, 1, 0, 0, 0, 0]), [0..1, 1..6]);
-        assert_eq!(borders(&frame(64, &[0; 9]), 4), None);
     }
 
     #[test]
     fn a_band_has_no_more_blocks_than_its_chunk_may_correct() {
         // Empty rows of 2048 blocks above four with matter: the first band has them and one of those. 64 are 2^17 blocks.
         let of = |num_empty: usize| borders(&frame(16384, &[&vec![0; num_empty][..], &[1; 4]].concat()), 4);
-        assert_eq!(of(63).unwrap().rows(0, 67), 0..64);
-        assert_eq!(of(64), None);
+        assert_eq!(of(63).rows(0, 67), 0..64);
+        assert_eq!(of(64), Borders::sharing(&[1; 68], 4));
     }
 }

@@ -1,84 +1,133 @@
-//! Choosing layers for the lists of a band, and coding them.
+//! Encoding: choosing layers for the lists of a band, and coding them.
 
-use super::super::{CodecError, MAX_CHUNK_SEGMENTS};
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::super::chunk::EncodedFrame;
+use super::super::error::{CodecError, at_most};
+use super::super::header::num_bands;
+use super::super::limits::{MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS};
 use super::band::{Band, CellsOf, Planes};
-use super::chunk::Head;
-use super::coding::{BandCoder, Origin, Place, Plan, PlaneCode, Source};
+use super::bands;
+use super::coding::{BandCoder, BlockSource, Origin, Plan, PlaneCode};
+use super::corrections::{self, composite_roots};
 use super::entropy::Encoder;
-use super::model::BLOCK_LISTS;
-use super::motion::Motion;
-use super::picture::{self, composite_roots};
+use super::head::{self, Head};
+use super::layer_search::{BlockLists, LayerSearch};
+use super::model::{BLOCK, BLOCK_LISTS, BandPlace, MAX_LAYERS};
+use super::motion::CameraMotion;
 use super::reference::{Notes, Reference};
-use super::relayer::{BlockLists, Relayer, Rule};
 use super::scales::ycc_from_roots;
-use super::steps::Steps;
-use super::transform::Plane;
-use crate::cancel::Wanted;
-use crate::layer::LayeredFrame;
+use super::steps::{self, LayerCost, Settings, StepSizes};
+use super::transform::BlockPlane;
+use crate::cancel::{ALWAYS, Wanted};
+use crate::layer::{FrameHeader, LayeredFrame};
+
+/// Encodes a frame, which must be valid ([`LayeredFrame::validate`]); if a reference is given, which the receiver must
+/// have, predicted from it. Bands are encoded in parallel. Returns what a receiver will have as a reference, too.
+///
+/// Lists may grow or shrink: the header says that they have at most [`MAX_LAYERS`] segments.
+///
+/// # Errors
+/// On frames and bands above the limits of the codec.
+pub fn encode(
+    frame: &LayeredFrame,
+    settings: &Settings,
+    reference: Option<&Reference>,
+) -> Result<(EncodedFrame, Reference), CodecError> {
+    encode_while(frame, settings, reference, ALWAYS)
+}
+
+/// The same; ends early with [`CodecError::Abandoned`] when the frame is no longer wanted.
+pub(in crate::codec) fn encode_while(
+    frame: &LayeredFrame,
+    settings: &Settings,
+    reference: Option<&Reference>,
+    wanted: Wanted<'_>,
+) -> Result<(EncodedFrame, Reference), CodecError> {
+    let camera = frame.header.camera;
+    at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
+    let header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
+    let (cost, steps) = steps::from_settings(settings, reference.is_some(), &camera);
+    let num_bands = num_bands(camera.intrinsics.height).min(settings.max_bands.max(1));
+    let borders = bands::borders(frame, num_bands);
+    let head = Head { steps, reference: reference.map(Reference::frame), borders };
+    let motion = reference.map(|r| (r, CameraMotion::new(&camera, &r.header.camera)));
+    // From both ends, so that a thread with two neighbours in this order has one from the border and one from the middle:
+    // what either takes longer than was thought evens out.
+    let num = usize::from(num_bands);
+    let from_both_ends = |n: usize| if n.is_multiple_of(2) { n / 2 } else { num - 1 - n / 2 };
+    let bands = (0..num).into_par_iter().with_max_len(1).map(|n| {
+        let index = from_both_ends(n);
+        let place = head::place(borders, &header, index);
+        Ok((index, band(frame, place, cost, steps, motion, wanted)?))
+    });
+    let mut bands: Vec<_> = bands.collect::<Result<_, CodecError>>()?;
+    bands.sort_unstable_by_key(|(index, _)| *index);
+    let (mut payloads, mut decoded, mut notes) = (vec![], vec![], vec![]);
+    for (_, band) in bands {
+        payloads.push(band.bytes);
+        decoded.push(Arc::new(band.decoded));
+        notes.push(band.notes);
+    }
+    let reference = Reference::new(header, Some(steps), decoded).with_notes(cost.lambda, notes);
+    Ok((EncodedFrame::from_payloads(header, false, &head.to_bytes(), payloads)?, reference))
+}
 
 /// An encoded band.
-pub(super) struct EncodedBand {
-    pub(super) base: Vec<u8>,
-    /// If they are apart.
-    pub(super) corrections: Option<Vec<u8>>,
-    /// What a decoder makes of both.
-    pub(super) decoded: Band,
+struct EncodedBand {
+    bytes: Vec<u8>,
+    /// What a decoder makes of them.
+    decoded: Band,
     /// How well its planes suit, for the next frame.
-    pub(super) notes: Notes,
+    notes: Notes,
 }
 
 /// Encodes a band of a valid frame.
-pub(super) fn band(
+fn band(
     frame: &LayeredFrame,
-    place: Place,
-    rule: Rule,
-    head: &Head,
-    reference: Option<(&Reference, Motion)>,
+    place: BandPlace,
+    cost: LayerCost,
+    steps: StepSizes,
+    reference: Option<(&Reference, CameraMotion)>,
     wanted: Wanted<'_>,
 ) -> Result<EncodedBand, CodecError> {
-    let steps = head.steps;
-    let mut layering = Layering::new(frame, place, rule, steps, reference, wanted);
-    let coder = BandCoder::new(Encoder::new(), head, place, reference, segments(frame, place));
-    let (coder, mut decoded, origins) = coder.run(&mut layering, MAX_CHUNK_SEGMENTS)?;
-    if layering.is_abandoned {
+    let mut planner = BlockPlanner::new(frame, place, cost, steps, reference, wanted);
+    let coder = BandCoder::new(Encoder::new(), steps, place, reference, segments(frame, place));
+    let (mut coder, mut decoded, origins) = coder.run(&mut planner, MAX_CHUNK_SEGMENTS)?;
+    if planner.is_abandoned {
         return Err(CodecError::Abandoned);
     }
-    if !head.has_corrections(&decoded) {
-        let notes = layering.notes;
-        return Ok(EncodedBand { base: coder.finish(), corrections: None, decoded, notes });
+    if decoded.num_cells() > 0 {
+        let BlockPlanner { goals, goal_of, .. } = &planner;
+        let source = |block: usize, planes: &mut [BlockPlane; 3]| {
+            // A block of the reference has its corrections in it.
+            let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
+            match goals.get(goal_of[block] as usize) {
+                Some(goal) if !is_corrected => miss(goal, decoded.cells_of(block), planes),
+                _ => 0,
+            }
+        };
+        let corrections;
+        (coder, corrections) = corrections::code(coder, &steps, place, source)?;
+        corrections.apply(&mut decoded, steps.of_picture());
     }
-    let Layering { wanted, wanted_of, .. } = &layering;
-    let source = |block: usize, planes: &mut [Plane; 3]| {
-        // A block of the reference has its corrections in it.
-        let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
-        match wanted.get(wanted_of[block] as usize) {
-            Some(wanted) if !is_corrected => miss(wanted, decoded.cells_of(block), planes),
-            _ => 0,
-        }
-    };
-    let (base, coder) = if head.is_split { (Some(coder.finish()), Encoder::new()) } else { (None, coder) };
-    let (coder, corrections) = picture::code(coder, &steps, place, source)?;
-    let last = coder.finish();
-    corrections.apply(&mut decoded, head.smoothing());
-    let (base, corrections) = match base {
-        Some(base) => (base, Some(last)),
-        None => (last, None),
-    };
-    Ok(EncodedBand { base, corrections, decoded, notes: layering.notes })
+    Ok(EncodedBand { bytes: coder.finish(), decoded, notes: planner.notes })
 }
 
 /// Segments of a band.
-fn segments(frame: &LayeredFrame, place: Place) -> usize {
-    let row = |block: usize| (block * super::model::BLOCK).min(place.size[1]) * place.size[0];
+fn segments(frame: &LayeredFrame, place: BandPlace) -> usize {
+    let row = |block: usize| (block * BLOCK).min(place.size[1]) * place.size[0];
     (frame.offsets[row(place.first_row + place.num_rows)] - frame.offsets[row(place.first_row)]) as usize
 }
 
-/// By how much the lists of a block composite to too little, as roots, when they should composite to `wanted`; and
+/// By how much the lists of a block composite to too little, as roots, when they should composite to `goal`; and
 /// which have matter.
-fn miss(wanted: &[Plane; 3], cells: CellsOf<'_>, planes: &mut [Plane; 3]) -> u64 {
+fn miss(goal: &[BlockPlane; 3], cells: CellsOf<'_>, planes: &mut [BlockPlane; 3]) -> u64 {
     composite_roots(cells, planes);
     for i in 0..BLOCK_LISTS {
-        let ycc = ycc_from_roots(std::array::from_fn(|c| wanted[c][i] - planes[c][i]));
+        let ycc = ycc_from_roots(std::array::from_fn(|c| goal[c][i] - planes[c][i]));
         for (plane, value) in planes.iter_mut().zip(ycc) {
             plane[i] = value;
         }
@@ -88,7 +137,7 @@ fn miss(wanted: &[Plane; 3], cells: CellsOf<'_>, planes: &mut [Plane; 3]) -> u64
 
 /// Planes that are coded as a block's own.
 #[derive(Default)]
-struct Own {
+struct PlaneCandidate {
     codes: Vec<(PlaneCode, PlaneCode)>,
     /// Those that a decoder makes of the codes.
     planes: Vec<Planes>,
@@ -97,12 +146,12 @@ struct Own {
     worth: f32,
 }
 
-impl Own {
+impl PlaneCandidate {
     /// Codes the planes that are there, and tries them.
-    fn weigh(&mut self, relayer: &mut Relayer, lists: &BlockLists, steps: &Steps, per_layer: f32) {
+    fn weigh(&mut self, search: &mut LayerSearch, lists: &BlockLists, steps: &StepSizes, per_layer: f32) {
         steps.codes(&self.planes, &mut self.codes);
         steps.planes(&self.codes, &mut self.planes);
-        self.error = relayer.tried(lists, &self.planes, f32::INFINITY);
+        self.error = search.error(lists, &self.planes, f32::INFINITY);
         self.worth = per_layer * self.codes.len() as f32;
     }
 
@@ -112,52 +161,52 @@ impl Own {
 }
 
 /// Finds layers for blocks.
-struct Layering<'a> {
+struct BlockPlanner<'a> {
     frame: &'a LayeredFrame,
-    place: Place,
-    rule: Rule,
-    steps: Steps,
-    reference: Option<(&'a Reference, Motion)>,
-    relayer: Relayer,
+    place: BandPlace,
+    cost: LayerCost,
+    steps: StepSizes,
+    reference: Option<(&'a Reference, CameraMotion)>,
+    search: LayerSearch,
     lists: BlockLists,
-    own: Own,
-    searched: Own,
+    own: PlaneCandidate,
+    searched: PlaneCandidate,
     planes: Vec<Planes>,
     best: Vec<Planes>,
     notes: Notes,
     /// The roots of red, green and blue that the lists of blocks composite to, and their place for each block;
-    /// [`NO_WANTED`] where there is nothing.
-    wanted: Vec<[Plane; 3]>,
-    wanted_of: Vec<u32>,
+    /// [`NO_GOAL`] where there is nothing.
+    goals: Vec<[BlockPlane; 3]>,
+    goal_of: Vec<u32>,
     is_wanted: Wanted<'a>,
     /// Blocks are empty from now on: nobody waits for the band.
     is_abandoned: bool,
 }
 
-impl<'a> Layering<'a> {
+impl<'a> BlockPlanner<'a> {
     fn new(
         frame: &'a LayeredFrame,
-        place: Place,
-        rule: Rule,
-        steps: Steps,
-        reference: Option<(&'a Reference, Motion)>,
+        place: BandPlace,
+        cost: LayerCost,
+        steps: StepSizes,
+        reference: Option<(&'a Reference, CameraMotion)>,
         is_wanted: Wanted<'a>,
     ) -> Self {
         Self {
             frame,
             place,
-            rule,
+            cost,
             steps,
             reference,
-            relayer: Relayer::default(),
+            search: LayerSearch::default(),
             lists: BlockLists::default(),
-            own: Own::default(),
-            searched: Own::default(),
+            own: PlaneCandidate::default(),
+            searched: PlaneCandidate::default(),
             planes: Vec::new(),
             best: Vec::new(),
             notes: Vec::with_capacity(place.across * place.num_rows),
-            wanted: Vec::with_capacity(place.across * place.num_rows),
-            wanted_of: Vec::with_capacity(place.across * place.num_rows),
+            goals: Vec::with_capacity(place.across * place.num_rows),
+            goal_of: Vec::with_capacity(place.across * place.num_rows),
             is_wanted,
             is_abandoned: false,
         }
@@ -169,21 +218,21 @@ impl<'a> Layering<'a> {
         let Some((reference, motion)) = self.reference else { return false };
         let is_fine =
             reference.steps.is_some_and(|s| s.color <= self.steps.color && s.depth <= self.steps.depth)
-                && reference.lambda.is_some_and(|lambda| lambda <= self.rule.lambda * LIKE_LAMBDA);
+                && reference.lambda.is_some_and(|lambda| lambda <= self.cost.lambda * LIKE_LAMBDA);
         let at = [x, y + self.place.first_row];
         let Some((band, block)) = reference.block(at[0] as i32, at[1] as i32) else { return false };
         if !(motion.is_still && is_fine && band.has_matter(block)) {
             return false;
         }
-        let Some(wanted) = self.wanted.last() else { return false };
+        let Some(goal) = self.goals.last() else { return false };
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
-        miss(wanted, band.cells_of(block), &mut planes);
+        miss(goal, band.cells_of(block), &mut planes);
         let mean = planes[0].iter().map(|d| d.abs()).sum::<f32>() / BLOCK_LISTS as f32;
         mean <= SAME * self.steps.picture
     }
 }
 
-impl Source for Layering<'_> {
+impl BlockSource for BlockPlanner<'_> {
     fn plan(
         &mut self,
         x: usize,
@@ -196,7 +245,7 @@ impl Source for Layering<'_> {
     }
 }
 
-impl Layering<'_> {
+impl BlockPlanner<'_> {
     /// Plans a block. Returns its note, see [`Notes`].
     fn planned(
         &mut self,
@@ -214,19 +263,19 @@ impl Layering<'_> {
         let at = [x as u32, (y + self.place.first_row) as u32];
         if BlockLists::is_nothing(self.frame, at[0], at[1]) {
             plan.layers.clear();
-            self.wanted_of.push(NO_WANTED);
+            self.goal_of.push(NO_GOAL);
             return 0.0;
         }
         self.lists.read(self.frame, at[0], at[1]);
-        self.wanted_of.push(self.wanted.len() as u32);
-        self.wanted.push(*self.lists.roots());
+        self.goal_of.push(self.goals.len() as u32);
+        self.goals.push(*self.lists.roots());
         if self.is_same(x, y) {
             plan.origin = Origin::Copied;
             plan.layers.clear();
             return self.reference.map_or(0.0, |(reference, _)| reference.note(at.map(|v| v as i32)));
         }
-        let per_layer = self.rule.error_per_layer();
-        let Self { relayer, lists, own, searched, planes, best, steps, .. } = self;
+        let per_layer = self.cost.error_per_layer();
+        let Self { search, lists, own, searched, planes, best, steps, .. } = self;
         let mut kept = f32::INFINITY;
         // Of a block's own planes here, for each layer in what it is worth.
         let mut note = 0.0;
@@ -238,21 +287,21 @@ impl Layering<'_> {
             note = noted.unwrap_or(0.0);
             let for_layers = per_layer * best.len() as f32;
             let accepted = (note + AT_ONCE_SHARE) * for_layers;
-            kept = relayer.tried(lists, best, HOPELESS * (note + KEEP_SHARE) * for_layers);
+            kept = search.error(lists, best, HOPELESS * (note + KEEP_SHARE) * for_layers);
             if kept <= accepted {
                 plan.origin = Origin::Kept;
-                relayer.given(lists, best, &mut plan.layers);
+                search.assign(lists, best, &mut plan.layers);
                 return note.min(kept / for_layers);
             }
             own.planes.clone_from(best);
-            relayer.fit(lists, &mut own.planes);
-            own.weigh(relayer, lists, steps, per_layer);
+            search.fit(lists, &mut own.planes);
+            own.weigh(search, lists, steps, per_layer);
             is_fitted = true;
-            is_found = own.error <= (note + FIT_SHARE / self.rule.lambda.sqrt()) * own.worth;
+            is_found = own.error <= (note + FIT_SHARE / self.cost.lambda.sqrt()) * own.worth;
         }
         if !is_found {
-            relayer.fresh(lists, &self.rule, &mut searched.planes);
-            searched.weigh(relayer, lists, steps, per_layer);
+            search.find(lists, &self.cost, &mut searched.planes);
+            searched.weigh(search, lists, steps, per_layer);
             if !is_fitted || searched.cost() < own.cost() {
                 std::mem::swap(own, searched);
             }
@@ -261,7 +310,7 @@ impl Layering<'_> {
         }
         if kept < own.error + KEEP_SHARE * own.worth {
             plan.origin = Origin::Kept;
-            relayer.given(lists, best, &mut plan.layers);
+            search.assign(lists, best, &mut plan.layers);
             return note.min(own.error.min(kept) / (per_layer * best.len() as f32));
         }
         note = note.min(own.error / own.worth);
@@ -271,7 +320,7 @@ impl Layering<'_> {
                 continue;
             }
             let for_layers = MERGE_SHARE * per_layer * planes.len() as f32;
-            let error = relayer.tried(lists, planes, least - for_layers) + for_layers;
+            let error = search.error(lists, planes, least - for_layers) + for_layers;
             if error < least {
                 least = error;
                 plan.origin = origin;
@@ -280,15 +329,15 @@ impl Layering<'_> {
         }
         if plan.origin == Origin::Fresh {
             plan.codes.clone_from(&own.codes);
-            relayer.given(lists, &own.planes, &mut plan.layers);
+            search.assign(lists, &own.planes, &mut plan.layers);
         } else {
-            relayer.given(lists, best, &mut plan.layers);
+            search.assign(lists, best, &mut plan.layers);
         }
         note
     }
 }
 
-const NO_WANTED: u32 = u32::MAX;
+const NO_GOAL: u32 = u32::MAX;
 /// Part of the step of corrections that a block may be off on average and still be the same.
 const SAME: f32 = 0.75;
 /// What layers were worth may differ by so much from what they are worth.
@@ -313,18 +362,17 @@ const WORTH_SHARE: f32 = 0.3;
 
 #[cfg(test)]
 mod tests {
+    use super::super::layer_search::tests::{COST, frame, slab};
     use super::super::model::DepthPlane;
-    use super::super::relayer::tests::{RULE, frame, slab};
     use super::*;
-    use crate::cancel::ALWAYS;
     use crate::layer::Segment;
 
     /// What is planned for a block with these lists, where the frame before had layers between these depths.
     fn planned(list: impl Fn(usize) -> Vec<Segment>, before: &[[f32; 2]]) -> (Plan, f32) {
         let frame = frame(list);
-        let steps = Steps { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
-        let place = Place { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
-        let mut layering = Layering::new(&frame, place, RULE, steps, None, ALWAYS);
+        let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+        let place = BandPlace { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
+        let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, ALWAYS);
         let offered = |origin: Origin, out: &mut Vec<Planes>| {
             out.clear();
             if origin == Origin::Kept {
@@ -336,7 +384,7 @@ mod tests {
             !out.is_empty()
         };
         let mut plan = Plan::default();
-        let note = layering.planned(0, 0, &offered, &mut plan);
+        let note = planner.planned(0, 0, &offered, &mut plan);
         (plan, note)
     }
 
@@ -368,18 +416,10 @@ mod tests {
         let coded = |has_matter: fn(usize) -> bool, limit: usize| {
             let list = |i| if has_matter(i) { vec![slab(i, 20300.0, 3000.0, 0.8, 1.5)] } else { vec![] };
             let frame = frame(list);
-            let steps = Steps { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
-            let place = Place { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
-            let head = Head {
-                steps,
-                reference: None,
-                is_split: false,
-                has_edges: true,
-                is_smooth: true,
-                borders: None,
-            };
-            let mut layering = Layering::new(&frame, place, RULE, steps, None, ALWAYS);
-            match BandCoder::new(Encoder::new(), &head, place, None, 0).run(&mut layering, limit) {
+            let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+            let place = BandPlace { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
+            let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, ALWAYS);
+            match BandCoder::new(Encoder::new(), steps, place, None, 0).run(&mut planner, limit) {
                 Ok((_, band, _)) => Ok((band.num_cells(), band.num_rows())),
                 Err(CodecError::TooLarge { what, .. }) => Err(what),
                 Err(other) => panic!("{other}"),

@@ -4,8 +4,6 @@
 //! What is coded is written once, over [`Coder`]: an encoder takes the values it is given, a decoder ignores them and
 //! returns the ones it reads. So the two cannot disagree on the syntax.
 
-use super::meter::{About, BlockClass};
-
 /// Codes values in one direction.
 pub(super) trait Coder {
     /// Whether values go in; otherwise they come out.
@@ -19,12 +17,6 @@ pub(super) trait Coder {
 
     /// Whether more was read than there is; an encoder has never.
     fn is_overrun(&self) -> bool;
-
-    /// The bits from here on are about this.
-    fn about(&mut self, _: About) {}
-
-    /// A block of a class is over.
-    fn end_block(&mut self, _: BlockClass) {}
 
     /// `count` bits, highest first, each with an estimate for what came before; `models` has 2^`count`.
     fn tree(&mut self, models: &mut [Model], count: u32, value: u32) -> u32 {
@@ -71,12 +63,6 @@ pub(super) trait Coder {
     }
 }
 
-/// A coder that reads.
-pub(super) trait Reader: Coder {
-    /// Whether exactly the bytes of one encoder were read.
-    fn is_at_end(&self) -> bool;
-}
-
 /// The probability of a one, and how many bits it has learnt from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Model {
@@ -91,12 +77,6 @@ impl Model {
     /// As if it had learnt from `seen` bits.
     pub(super) const fn trained(one: u16, seen: u16) -> Self {
         Self { one, seen }
-    }
-
-    /// What a bit costs, bits.
-    pub(super) fn bits(self, bit: bool) -> f64 {
-        let one = f64::from(self.probability()) / f64::from(1u32 << PROBABILITY_BITS);
-        -if bit { one } else { 1.0 - one }.log2()
     }
 
     /// In units of 2⁻¹⁵, away from 0 and 1.
@@ -316,8 +296,9 @@ impl Coder for Decoder<'_> {
     }
 }
 
-impl Reader for Decoder<'_> {
-    fn is_at_end(&self) -> bool {
+impl Decoder<'_> {
+    /// Whether exactly the bytes of one encoder were read.
+    pub(super) fn is_at_end(&self) -> bool {
         self.at == self.bytes.len()
     }
 }

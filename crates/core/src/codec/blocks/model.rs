@@ -1,13 +1,13 @@
-//! What a block of lists is when its lists share their cuts.
+//! A block of 8×8 lists, and the layers that its lists share. Depths are in depth units, see [`crate::layer`].
 
 use glam::Vec3;
 
 /// Lists along a side of a block.
-pub const BLOCK: usize = 8;
+pub(super) const BLOCK: usize = 8;
 /// Lists of a block.
-pub const BLOCK_LISTS: usize = BLOCK * BLOCK;
+pub(super) const BLOCK_LISTS: usize = BLOCK * BLOCK;
 /// Most layers of a block.
-pub const MAX_LAYERS: usize = 24;
+pub(super) const MAX_LAYERS: usize = 24;
 
 /// The lists in a mask, from the first.
 pub(super) fn lists_of(mut mask: u64) -> impl Iterator<Item = usize> {
@@ -21,7 +21,7 @@ pub(super) fn lists_of(mut mask: u64) -> impl Iterator<Item = usize> {
 /// A plane of depth over a block, in depth units: `z` at the middle of the block, (3.5, 3.5) lists from its first,
 /// and its growth for each list rightwards and downwards.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct DepthPlane {
+pub(super) struct DepthPlane {
     /// Depth at the middle of the block.
     pub z: f32,
     /// Growth for each list rightwards.
@@ -33,7 +33,7 @@ pub struct DepthPlane {
 impl DepthPlane {
     /// Depth at list `i` of the block, counted row by row.
     #[inline]
-    pub fn at(&self, i: usize) -> f32 {
+    pub(super) fn at(&self, i: usize) -> f32 {
         const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;
         let (x, y) = ((i % BLOCK) as f32 - MIDDLE, (i / BLOCK) as f32 - MIDDLE);
         self.z + self.dx * x + self.dy * y
@@ -43,7 +43,7 @@ impl DepthPlane {
 /// What the lists of a block have between two depth planes.
 #[derive(Clone, Debug, PartialEq)]
 #[repr(align(64))]
-pub struct BlockLayer {
+pub(super) struct BlockLayer {
     /// Where the layer begins.
     pub front: DepthPlane,
     /// Where it ends.
@@ -66,4 +66,31 @@ impl Default for BlockLayer {
             c: [Vec3::ZERO; BLOCK_LISTS],
         }
     }
+}
+
+/// Where a band lies in its frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BandPlace {
+    /// Blocks to a row.
+    pub(super) across: usize,
+    /// The first row of blocks, and how many there are.
+    pub(super) first_row: usize,
+    pub(super) num_rows: usize,
+    /// Columns and rows of lists of the frame.
+    pub(super) size: [usize; 2],
+}
+
+impl BandPlace {
+    /// The lists of a block that are inside of the frame.
+    pub(super) fn inside(&self, x: usize, y: usize) -> u64 {
+        let [columns, rows] = [(x, 0), (y + self.first_row, 1)]
+            .map(|(at, axis)| self.size[axis].saturating_sub(at * BLOCK).min(BLOCK));
+        let row = (1u64 << columns) - 1;
+        (0..rows).fold(0, |mask, y| mask | row << (y * BLOCK))
+    }
+}
+
+/// Blocks along a side of so many lists.
+pub(super) fn blocks_along(side: u32) -> usize {
+    (side as usize).div_ceil(BLOCK)
 }

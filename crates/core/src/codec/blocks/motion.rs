@@ -1,14 +1,15 @@
-//! Where matter of a frame lies in the picture and depth of another: the motion that temporal prediction follows.
+//! Motion compensation: where a point of a frame lies in the picture and depth of another. It follows from the two
+//! cameras alone, so no motion vectors are sent.
 //!
-//! Double precision, sums, products, quotients and square roots alone: the same bits on every machine. The tangent of
-//! the field of view is summed here, since libraries differ in the last bit of theirs.
+//! The arithmetic is in double precision, by sums, products and quotients: the same bits on every machine.
 
+use super::super::portable_math::tan;
 use crate::camera::{Camera, Projection};
 use crate::layer::DEPTH_UNITS;
 
 /// From a camera to that of a reference.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
+pub(super) struct CameraMotion {
     /// Homogeneous reference pixel and reference depth of (x, y, 1), times the depth if rays meet in an eye; for each unit
     /// of depth, if they are parallel; and what is added.
     linear: [[f64; 3]; 4],
@@ -34,7 +35,7 @@ pub(super) struct Shift {
     pub(super) z: f32,
 }
 
-impl Motion {
+impl CameraMotion {
     pub(super) fn new(camera: &Camera, reference: &Camera) -> Self {
         let (from, to) = (Frustum::new(camera), Frustum::new(reference));
         // Direction of view depth 1 through (x, y): forward + right (2x/w − 1) + up (1 − 2y/h). Of parallel rays, all but
@@ -135,17 +136,6 @@ fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Tangent of an angle in [0, π/2) by the series of sine and cosine.
-fn tan(x: f64) -> f64 {
-    let (mut sine, mut cosine) = (1.0, 1.0);
-    for n in (1..=14).rev() {
-        let n = f64::from(2 * n);
-        cosine = 1.0 - x * x / ((n - 1.0) * n) * cosine;
-        sine = 1.0 - x * x / (n * (n + 1.0)) * sine;
-    }
-    x * sine / cosine
-}
-
 /// Nothing moves so far and is still of use: beyond the largest picture and the depth range.
 const MAX_SHIFT: f64 = 1e6;
 
@@ -167,7 +157,7 @@ mod tests {
     #[test]
     fn points_move_as_the_cameras_say() {
         let (from, to) = (camera(0.3), camera(0.36));
-        let motion = Motion::new(&from, &to);
+        let motion = CameraMotion::new(&from, &to);
         let basis = to.basis();
         let mut moved: f32 = 0.0;
         for (x, y, z) in [(12.5, 80.0, 20_000.0), (160.0, 100.0, 40_000.0), (300.0, 10.0, 33_000.0)] {
@@ -181,7 +171,7 @@ mod tests {
             moved = moved.max(shift.x.abs());
         }
         assert!(moved > 1.0);
-        let still = Motion::new(&from, &from).at(100.0, 50.0, 30_000.0).unwrap();
+        let still = CameraMotion::new(&from, &from).at(100.0, 50.0, 30_000.0).unwrap();
         // A rotation of single precision is off by some 1e-7, of coordinates up to 320 and of 65535 units.
         assert!(still.x.abs() < 1e-3 && still.y.abs() < 1e-3 && still.z.abs() < 0.1, "{still:?}");
     }
@@ -190,8 +180,8 @@ mod tests {
     fn what_the_reference_cannot_see_does_not_move() {
         let (from, mut to) = (camera(0.0), camera(0.0));
         to.pose = Pose::orbit(Vec3::ZERO, std::f32::consts::PI, 0.0, -20.0);
-        assert!(Motion::new(&from, &to).at(160.0, 100.0, 30_000.0).is_none());
-        assert!(Motion::new(&from, &from).at(f32::NAN, 0.0, 0.0).is_none());
+        assert!(CameraMotion::new(&from, &to).at(160.0, 100.0, 30_000.0).is_none());
+        assert!(CameraMotion::new(&from, &from).at(f32::NAN, 0.0, 0.0).is_none());
     }
 
     #[test]

@@ -2,19 +2,18 @@
 //! same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding
 //! of planes is compared with image codecs, on planes of theirs.
 
-use super::super::CodecError;
-use super::coding::{Expected, residual};
-use super::edges::{Edges, spread};
+use super::super::error::CodecError;
 use super::entropy::{Coder, Decoder, Encoder};
 use super::model::{BLOCK, BLOCK_LISTS};
+use super::residual::{Expected, residual};
 use super::scales::{roots_from_ycc, ycc_from_roots};
 use super::smooth::{Border, smooth};
 use super::syntax::{Contexts, NO_CLASS};
-use super::transform::Plane;
+use super::transform::BlockPlane;
 
 /// What a picture is, and how finely it is coded.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Picture {
+pub struct BlockPicture {
     /// Columns and rows.
     pub size: [usize; 2],
     /// 1, or 3: red, green and blue.
@@ -25,7 +24,7 @@ pub struct Picture {
     pub chroma: f32,
 }
 
-impl Picture {
+impl BlockPicture {
     /// Encodes samples from 0 to 1, row by row, all channels of a pixel together.
     pub fn encode(&self, samples: &[f32]) -> Vec<u8> {
         self.code(Encoder::new(), samples, None).finish()
@@ -53,19 +52,24 @@ impl Picture {
     }
 
     /// Codes the blocks; `whole`, if it is there, gets their components as a decoder has them.
-    fn code<C: Coder>(&self, mut coder: C, samples: &[f32], mut whole: Option<&mut Vec<[Plane; 3]>>) -> C {
+    fn code<C: Coder>(
+        &self,
+        mut coder: C,
+        samples: &[f32],
+        mut whole: Option<&mut Vec<[BlockPlane; 3]>>,
+    ) -> C {
         let [width, height] = self.size;
         let mut contexts = Contexts::new();
         let across = width.div_ceil(BLOCK);
-        // Edges and class of each component of the blocks so far.
-        let mut coded: Vec<[(Edges, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
+        // Mean and class of each component of the blocks so far.
+        let mut coded: Vec<[(f32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
         let steps = self.steps();
         for block in 0..across * height.div_ceil(BLOCK) {
             let mask = self.mask(block);
             let source = C::ENCODES.then(|| self.block(samples, block));
             let left = (block % across > 0).then(|| &coded[block - 1]);
             let above = block.checked_sub(across).map(|b| &coded[b]);
-            let mut own = [(Edges::default(), 0); 3];
+            let mut own = [(0.0, 0); 3];
             let mut values = [[0.0; BLOCK_LISTS]; 3];
             for (c, values) in values.iter_mut().enumerate().take(self.channels) {
                 let near = [left, above].map(|b| b.map(|b| &b[c]));
@@ -76,8 +80,11 @@ impl Picture {
                 };
                 let in_front = if c == 0 { NO_CLASS } else { own[c - 1].1 };
                 let component = if self.channels == 1 { 0 } else { [1, 2, 2][c] };
-                let [left, above] = near.map(|b| b.map(|(edges, _)| edges));
-                let waves = spread(left, above, steps[c]);
+                let mean = match near {
+                    [Some((a, _)), Some((b, _))] => 0.5 * (a + b),
+                    [Some((a, _)), None] | [None, Some((a, _))] => *a,
+                    [None, None] => 0.0,
+                };
                 let (class, _) = residual(
                     &mut coder,
                     &mut contexts,
@@ -86,10 +93,10 @@ impl Picture {
                     steps[c],
                     mask,
                     source.as_ref().map(|s| &s[c]),
-                    &waves.as_ref().map_or(Expected::Constant(0.0), Expected::Waves),
+                    &Expected::Constant(mean),
                     values,
                 );
-                own[c] = (Edges::of(values), class);
+                own[c] = (values.iter().sum::<f32>() / BLOCK_LISTS as f32, class);
             }
             coded.push(own);
             if let Some(whole) = &mut whole {
@@ -105,7 +112,7 @@ impl Picture {
     }
 
     /// Smooths the borders between all blocks.
-    fn smooth(&self, whole: &mut [[Plane; 3]]) {
+    fn smooth(&self, whole: &mut [[BlockPlane; 3]]) {
         let across = self.size[0].div_ceil(BLOCK);
         let steps = &self.steps()[..self.channels];
         for (border, back) in [(Border::Beside, 1), (Border::Below, across)] {
@@ -137,7 +144,7 @@ impl Picture {
     }
 
     /// The components of a block.
-    fn block(&self, samples: &[f32], block: usize) -> [Plane; 3] {
+    fn block(&self, samples: &[f32], block: usize) -> [BlockPlane; 3] {
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
         for i in 0..BLOCK_LISTS {
             let Some(at) = self.place(block, i) else { continue };
@@ -165,7 +172,7 @@ mod tests {
                 .collect();
             let mut last = 0;
             for step in [0.2, 0.05, 0.01] {
-                let picture = Picture { size, channels, step, chroma: 2.0 };
+                let picture = BlockPicture { size, channels, step, chroma: 2.0 };
                 let bytes = picture.encode(&samples);
                 let found = picture.decode(&bytes).unwrap();
                 let squares: f32 = samples.iter().zip(&found).map(|(a, b)| (a - b).powi(2)).sum();
@@ -174,7 +181,7 @@ mod tests {
                 assert!(bytes.len() >= last);
                 last = bytes.len();
             }
-            let picture = Picture { size, channels, step: 0.01, chroma: 2.0 };
+            let picture = BlockPicture { size, channels, step: 0.01, chroma: 2.0 };
             let bytes = picture.encode(&samples);
             if size[0] > 1 {
                 assert!(picture.decode(&bytes[..bytes.len() / 2]).is_err());

@@ -1,7 +1,10 @@
-//! From bytes that a frame may have to the quality to ask for.
+//! Rate control: the quality to ask for, so that a frame has at most so many bytes.
 
-use super::super::{CodecError, EncodedFrame};
-use super::{MAX_QUALITY, Reference, Settings, encode};
+use super::super::chunk::EncodedFrame;
+use super::super::error::CodecError;
+use super::encode::encode;
+use super::reference::Reference;
+use super::steps::{MAX_QUALITY, Settings};
 use crate::layer::LayeredFrame;
 
 /// Finds the quality of frames that follow each other, so that each has at most so many bytes.

@@ -1,14 +1,14 @@
-//! Frames that later ones are predicted from, and the fetching of a layer's content from one.
+//! Reference frames, and the fetching of a layer's prediction from one: content between two depths, at a quarter of a list.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::band::{Band, Cells, Layer, NO_CELLS, greater, lesser};
+use super::band::{Band, CellLayer, CellPlanes, NO_CELLS, greater, lesser};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
-use super::motion::{Motion, Shift};
+use super::motion::{CameraMotion, Shift};
 use super::scales::{f32_from_fixed, scales, whole};
-use super::steps::Steps;
-use super::transform::Plane;
+use super::steps::StepSizes;
+use super::transform::BlockPlane;
 use crate::ids::FrameId;
 use crate::layer::FrameHeader;
 
@@ -18,7 +18,7 @@ use crate::layer::FrameHeader;
 pub struct Reference {
     pub(super) header: FrameHeader,
     /// The steps it was coded with.
-    pub(super) steps: Option<Steps>,
+    pub(super) steps: Option<StepSizes>,
     pub(super) bands: Vec<Arc<Band>>,
     /// Band and row of blocks in it, for each row of blocks.
     pub(super) rows: Vec<(u8, u32)>,
@@ -39,7 +39,7 @@ impl PartialEq for Reference {
 }
 
 impl Reference {
-    pub(super) fn new(header: FrameHeader, steps: Option<Steps>, bands: Vec<Arc<Band>>) -> Self {
+    pub(super) fn new(header: FrameHeader, steps: Option<StepSizes>, bands: Vec<Arc<Band>>) -> Self {
         let rows = bands
             .iter()
             .enumerate()
@@ -93,7 +93,7 @@ impl Reference {
 
     /// Column and row of the reference's block that the middle of the block at (`x`, `y`) of a frame moves to; there may be
     /// no such block.
-    pub(super) fn moved_to(&self, motion: &Motion, x: usize, y: usize) -> Option<[i32; 2]> {
+    pub(super) fn moved_to(&self, motion: &CameraMotion, x: usize, y: usize) -> Option<[i32; 2]> {
         // About how deep is the block? As the reference was here, or beside.
         let (front, _) = [(0, 0), (0, -1), (-1, 0), (1, 0), (0, 1)].into_iter().find_map(|(dx, dy)| {
             let (band, block) = self.block(x as i32 + dx, y as i32 + dy)?;
@@ -161,23 +161,24 @@ impl References {
 #[repr(align(64))]
 pub(super) struct Fetched {
     /// u, Y, Co, Cg of each list; of those without matter the mean.
-    pub(super) planes: [Plane; 4],
+    pub(super) planes: [BlockPlane; 4],
     /// The lists where there is matter.
     pub(super) mask: u64,
-    scratch: Box<Scratch>,
+    scratch: Box<FetchScratch>,
 }
 
 /// Memory to fetch with.
 #[derive(Clone, Debug)]
-struct Scratch {
-    between: Between,
+struct FetchScratch {
+    between: DepthRange,
     contents: Contents,
-    spread: Cells,
+    spread: CellPlanes,
 }
 
 impl Fetched {
     pub(super) fn new() -> Self {
-        let scratch = Scratch { between: Between::NOWHERE, contents: Contents::NOTHING, spread: NO_CELLS };
+        let scratch =
+            FetchScratch { between: DepthRange::NOWHERE, contents: Contents::NOTHING, spread: NO_CELLS };
         Self { planes: [[0.0; BLOCK_LISTS]; 4], mask: 0, scratch: Box::new(scratch) }
     }
 }
@@ -216,7 +217,7 @@ fn fetch_any(
     let (inner_x, inner_y) = ((left - first_x * SIDE) as usize, (top - first_y * SIDE) as usize);
     let mut found = [[[0.0; 2 * BLOCK]; BLOCK + 1]; NUM_VALUES];
     let mut has_any = false;
-    let Scratch { between, contents, spread } = &mut *fetched.scratch;
+    let FetchScratch { between, contents, spread } = &mut *fetched.scratch;
     for (by, bx) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
         // The rows and columns of the block that are looked at.
         let [ys, xs] = [(by, inner_y, rows), (bx, inner_x, columns)].map(|(n, inner, num)| {
@@ -232,7 +233,7 @@ fn fetch_any(
         between.xs = xs;
         look(
             between,
-            &Looked {
+            &DepthQuery {
                 planes: (*front, *back),
                 at: [(bx * BLOCK) as f32 - inner_x as f32, (by * BLOCK) as f32 - inner_y as f32],
                 part: [fx, fy],
@@ -317,9 +318,9 @@ fn fetch_any(
 /// Between which two depths the lists of a block of the reference are looked at.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-struct Between {
-    low: Plane,
-    high: Plane,
+struct DepthRange {
+    low: BlockPlane,
+    high: BlockPlane,
     /// A cell is in front of these depths if it ends at this depth unit or before, and behind if it begins at this one or
     /// after. All are, of a list that is not looked at.
     in_front: [i32; BLOCK_LISTS],
@@ -332,7 +333,7 @@ struct Between {
 }
 
 /// What the depths of a block's lists follow from.
-struct Looked {
+struct DepthQuery {
     planes: (DepthPlane, DepthPlane),
     /// First column and row of the block, counted from those that are looked at.
     at: [f32; 2],
@@ -344,10 +345,10 @@ struct Looked {
 
 wide! {
     /// Fills in the depths of the rows and columns.
-    fn look(between: &mut Between, looked: &Looked) = Between::look_any;
+    fn look(between: &mut DepthRange, looked: &DepthQuery) = DepthRange::look_any;
 }
 
-impl Between {
+impl DepthRange {
     const NOWHERE: Self = Self {
         low: [0.0; BLOCK_LISTS],
         high: [0.0; BLOCK_LISTS],
@@ -365,8 +366,8 @@ impl Between {
     }
 
     #[inline(always)]
-    fn look_any(&mut self, looked: &Looked) {
-        let &Looked { planes: (front, back), at, part, shift, least_length } = looked;
+    fn look_any(&mut self, looked: &DepthQuery) {
+        let &DepthQuery { planes: (front, back), at, part, shift, least_length } = looked;
         let (first, last) = (self.xs.start as u32, self.xs.end as u32);
         let [mut least, mut most] = [i32::MAX, 0];
         for i in self.lists() {
@@ -389,7 +390,7 @@ impl Between {
 
     /// Whether a layer may have a cell between any of the depths.
     #[inline(always)]
-    fn has(&self, layer: &Layer) -> bool {
+    fn has(&self, layer: &CellLayer) -> bool {
         i32::from(layer.back) > self.range[0] && i32::from(layer.front) < self.range[1]
     }
 }
@@ -397,7 +398,7 @@ impl Between {
 wide! {
     /// Adds the parts of a layer's cells between the two depths behind what is there: the colour of parts is that of their
     /// cells, mixed by what of them is seen. Returns whether there are any.
-    fn add(contents: &mut Contents, between: &Between, cells: &Cells) -> bool = Contents::add_any;
+    fn add(contents: &mut Contents, between: &DepthRange, cells: &CellPlanes) -> bool = Contents::add_any;
 }
 
 /// What the lists of a block have between two depths, composited.
@@ -405,9 +406,9 @@ wide! {
 #[repr(align(64))]
 struct Contents {
     /// Opacity, u, and Y, Co, Cg times opacity.
-    values: [Plane; NUM_VALUES],
-    tau: Plane,
-    kappa: Plane,
+    values: [BlockPlane; NUM_VALUES],
+    tau: BlockPlane,
+    kappa: BlockPlane,
     /// Cells.
     count: [u32; BLOCK_LISTS],
 }
@@ -429,7 +430,7 @@ impl Contents {
     }
 
     #[inline(always)]
-    fn add_any(&mut self, between: &Between, cells: &Cells) -> bool {
+    fn add_any(&mut self, between: &DepthRange, cells: &CellPlanes) -> bool {
         let scales = scales();
         let [fronts, backs, of_u, ycc @ ..] = cells;
         let lists = between.lists();

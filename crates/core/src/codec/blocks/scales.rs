@@ -10,7 +10,7 @@
 
 use std::sync::LazyLock;
 
-use super::super::scale::exp_neg;
+use super::super::portable_math::{exp_neg, ln};
 use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
 
 /// Tables by the code of u.
@@ -20,10 +20,10 @@ pub(super) struct Scales {
     /// α = 1 − e^−τ.
     pub(super) alpha: Box<[f32]>,
     /// Optical depth τ, a half float, positive from code 1 on, and α.
-    tau_and_alpha: Box<[Pair; CODES as usize]>,
+    tau_and_alpha: Box<[FloatPair; CODES as usize]>,
     /// u of optical depths that are [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on, and by how much the next is
     /// more. As long as a power of two, so that a masked place is within.
-    u_at: Box<[Pair; PLACES]>,
+    u_at: Box<[FloatPair; PLACES]>,
     /// Codes to a unit of u, and back.
     codes_per_u: f32,
     u_per_code: f32,
@@ -31,9 +31,9 @@ pub(super) struct Scales {
 
 /// Two numbers that are looked up at once, as one word.
 #[derive(Clone, Copy)]
-struct Pair(u64);
+struct FloatPair(u64);
 
-impl Pair {
+impl FloatPair {
     fn new(a: f32, b: f32) -> Self {
         Self(u64::from(a.to_bits()) | u64::from(b.to_bits()) << 32)
     }
@@ -58,11 +58,11 @@ impl Scales {
             let octave = (i / PER_OCTAVE) as i32 + LEAST_OCTAVE;
             u_from_tau((mantissa * power_of_two(octave)).min(f64::from(TAU_MAX))) as f32
         };
-        let mut u_at = Box::new([Pair(0); PLACES]);
+        let mut u_at = Box::new([FloatPair(0); PLACES]);
         let mut next = u_of_place(0);
         for (i, at) in u_at.iter_mut().enumerate().take(OCTAVES * PER_OCTAVE + 1) {
             let u = std::mem::replace(&mut next, u_of_place(i + 1));
-            *at = Pair::new(u, next - u);
+            *at = FloatPair::new(u, next - u);
         }
         let tau_half: Box<[u16]> = (0..CODES)
             .map(|code| {
@@ -75,9 +75,9 @@ impl Scales {
             .collect();
         let tau: Box<[f32]> = tau_half.iter().map(|&half| unpack_halves(half.into()).0).collect();
         let alpha: Box<[f32]> = tau.iter().map(|&t| (1.0 - exp_neg(t)) as f32).collect();
-        let mut tau_and_alpha = Box::new([Pair(0); CODES as usize]);
+        let mut tau_and_alpha = Box::new([FloatPair(0); CODES as usize]);
         for ((both, tau), alpha) in tau_and_alpha.iter_mut().zip(&tau).zip(&alpha) {
-            *both = Pair::new(*tau, *alpha);
+            *both = FloatPair::new(*tau, *alpha);
         }
         Self {
             alpha,
@@ -133,6 +133,12 @@ pub(super) fn roots_from_ycc([y, co, cg]: [f32; 3]) -> [f32; 3] {
     [rest + co, y + cg, rest - co]
 }
 
+/// The roots of red, green and blue of a cell, within what colours can be.
+#[inline(always)]
+pub(super) fn roots(ycc: [i16; 3]) -> [f32; 3] {
+    roots_from_ycc(ycc.map(f32_from_fixed)).map(|r| r.clamp(0.0, MAX_ROOT))
+}
+
 /// A colour difference or brightness as it is kept.
 #[inline(always)]
 pub(super) fn fixed_from_f32(x: f32) -> i16 {
@@ -173,24 +179,13 @@ fn tau_from_u(u: f64) -> f64 {
     high
 }
 
-/// Natural logarithm of a number from 1 on, by the series of the inverse hyperbolic tangent.
-fn ln(x: f64) -> f64 {
-    let bits = x.to_bits();
-    let octave = (bits >> 52) as i32 - 1023;
-    let mantissa = f64::from_bits(bits & ((1 << 52) - 1) | 1023 << 52);
-    let t = (mantissa - 1.0) / (mantissa + 1.0);
-    let mut sum = 0.0;
-    for n in (0..20).rev() {
-        sum = sum * t * t + 1.0 / f64::from(2 * n + 1);
-    }
-    f64::from(octave) * std::f64::consts::LN_2 + 2.0 * t * sum
-}
-
 /// 2^n by its bits.
 fn power_of_two(n: i32) -> f64 {
     f64::from_bits(((n + 1023) as u64) << 52)
 }
 
+/// Greatest root of a colour: shading can lift one above 1.
+pub(super) const MAX_ROOT: f32 = 1.2;
 /// 2²³: what is added to it has no fraction.
 const ROUNDER: f32 = ROUNDER_ONE as f32;
 const ROUNDER_ONE: u32 = 1 << 23;

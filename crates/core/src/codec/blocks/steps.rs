@@ -1,26 +1,70 @@
-//! Quality: from one number to the steps that a chunk carries.
+//! Quality: from one number to the steps that a chunk carries, and to what a layer is worth.
 
+use super::model::BLOCK_LISTS;
 use crate::camera::Camera;
+use crate::layer::DEPTH_UNITS;
 
-use super::Settings;
-use super::relayer::{Rule, units_per_pixel};
+/// How to encode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// 0 to [`MAX_QUALITY`].
+    pub quality: u8,
+    /// The turn that the frame is made to be seen at: degrees between its camera and the one that it is shown from, at
+    /// most [`MAX_TURN_DEG`]. The less, the more of the bytes go to the picture at the frame's own pose, and the fewer to
+    /// depths. None where it is not known: fit for all turns.
+    pub turn_deg: Option<u8>,
+    /// Most bands, each of which a thread encodes or decodes. More cost some percent of the bytes: headers, and estimates
+    /// that start anew.
+    pub max_bands: u8,
+}
+
+impl Settings {
+    /// Of a quality, for all turns and for up to four threads.
+    pub const fn of(quality: u8) -> Self {
+        Self { quality, turn_deg: None, max_bands: 4 }
+    }
+}
+
+/// What a layer is worth: when two layers become one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LayerCost {
+    /// The mean move of a list's matter, in pixels^(5/4), that is accepted to be rid of a layer.
+    pub(super) lambda: f32,
+    /// Depth units that are as long as a pixel of the frame is wide, in the middle between near and far.
+    pub(super) units_per_pixel: f32,
+}
+
+impl LayerCost {
+    /// The error that a block may have for a layer less, in the unit of `LayerSearch::error`.
+    pub(super) fn error_per_layer(&self) -> f32 {
+        self.lambda * self.units_per_pixel * self.units_per_pixel.sqrt().sqrt() * BLOCK_LISTS as f32
+    }
+}
+
+/// Depth units that are as long as a pixel is wide, in the middle between near and far.
+fn units_per_pixel(camera: &Camera) -> f32 {
+    let units_per_world = DEPTH_UNITS / (camera.far - camera.near);
+    let middle = 0.5 * (camera.far + camera.near);
+    let (_, half_height) = camera.intrinsics.half_size_at(middle);
+    2.0 * half_height / camera.intrinsics.height as f32 * units_per_world
+}
 
 /// The steps that values are quantised in, as a decoder needs them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Steps {
+pub(super) struct StepSizes {
     /// Depth units.
     pub(super) depth: f32,
     /// Of u.
     pub(super) opacity: f32,
     /// Of Y, where all of it is seen.
     pub(super) color: f32,
-    /// Of Y in the correction of the picture; 0 for none.
+    /// Of Y in the correction of the picture.
     pub(super) picture: f32,
     /// Co and Cg are quantised in so many times the step of Y.
     pub(super) chroma: f32,
 }
 
-impl Steps {
+impl StepSizes {
     /// Of Y, Co, Cg in the correction of the picture.
     pub(super) fn of_picture(&self) -> [f32; 3] {
         [self.picture, self.picture * self.chroma, self.picture * self.chroma]
@@ -36,14 +80,14 @@ impl Steps {
         bytes
     }
 
-    /// `None` if a step that must be positive is not.
+    /// `None` if a step is not positive.
     pub(super) fn from_bytes(bytes: [u8; STEPS_BYTES]) -> Option<Self> {
         let mut words = [0; 5];
         for (word, bytes) in words.iter_mut().zip(bytes.as_chunks::<2>().0) {
             *word = u16::from_le_bytes(*bytes);
         }
         let [depth, opacity, color, picture, chroma] = words.map(f32::from);
-        let is_sound = [0, 1, 2, 4].iter().all(|&i| words[i] > 0);
+        let is_sound = words.iter().all(|&word| word > 0);
         is_sound.then(|| Self {
             depth,
             opacity: opacity / FINE,
@@ -54,8 +98,12 @@ impl Steps {
     }
 }
 
-/// The rule and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn, of a frame that `is_predicted` or alone.
-pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Camera) -> (Rule, Steps) {
+/// The cost of layers and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn, of a frame that `is_predicted` or alone.
+pub(super) fn from_settings(
+    settings: &Settings,
+    is_predicted: bool,
+    camera: &Camera,
+) -> (LayerCost, StepSizes) {
     let [moves, corrections] = match (settings.turn_deg.map(|t| t.min(MAX_TURN_DEG)), is_predicted) {
         (None, false) => [1.0, 1.0],
         (None, true) => PREDICTED_FOR_ALL,
@@ -71,14 +119,14 @@ pub(super) fn from_settings(settings: &Settings, is_predicted: bool, camera: &Ca
         std::array::from_fn(|i| FAMILY[row][i] * (FAMILY[row + 1][i] / FAMILY[row][i]).powf(part));
     let units_per_pixel = units_per_pixel(camera);
     let fine = |step: f32| (step * FINE).round().clamp(1.0, 65535.0) / FINE;
-    let steps = Steps {
+    let steps = StepSizes {
         depth: (pixels * units_per_pixel).round().clamp(1.0, 16384.0),
         opacity: fine(opacity),
         color: fine(color),
         picture: fine(picture * corrections),
         chroma: (chroma * CHROMA).round() / CHROMA,
     };
-    (Rule { lambda: lambda * moves, units_per_pixel }, steps)
+    (LayerCost { lambda: lambda * moves, units_per_pixel }, steps)
 }
 
 /// What λ and the step of corrections are multiplied by in frames alone that are seen at a turn.
@@ -108,7 +156,7 @@ type ByTurn = [f32; MAX_TURN_DEG as usize + 1];
 pub const MAX_TURN_DEG: u8 = 10;
 /// Best quality.
 pub const MAX_QUALITY: u8 = 100;
-/// Bytes of [`Steps`].
+/// Bytes of [`StepSizes`].
 pub(super) const STEPS_BYTES: usize = 10;
 const FINE: f32 = 4096.0;
 const CHROMA: f32 = 16.0;

@@ -1,9 +1,8 @@
-//! How planes, masks and coefficients are said in bits, and with which estimates.
+//! The syntax of masks and coefficients, and the contexts of all bits: which estimate each bit is coded with.
 
 use std::sync::LazyLock;
 
 use super::entropy::{Coder, Model, Models, NumberModels, SignedModels};
-use super::meter::About;
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::trained::TRAINED;
 
@@ -81,7 +80,6 @@ impl Contexts {
         near: [u8; 2],
         levels: &mut Levels,
     ) -> u8 {
-        coder.about(ABOUT[component]);
         let class = class_of(levels.length);
         let [a, b] = near.map(usize::from);
         if coder.bit(&mut self.is_zero[component][a][b], class == 0) {
@@ -245,10 +243,6 @@ pub(super) const NO_CLASS: u8 = CLASSES as u8;
 /// Opacity, brightness, colour and the picture's correction (brightness, colour), the first three also after a moved
 /// reference.
 pub(super) const COMPONENTS: usize = 8;
-const ABOUT: [About; COMPONENTS] = {
-    use About::{Brightness, Color, Correction, Opacity};
-    [Opacity, Brightness, Color, Correction, Opacity, Brightness, Color, Correction]
-};
 /// Contexts of a depth: how far two predictions differ, or that there are fewer.
 pub(super) const DEPTH_CONTEXTS: usize = 9;
 /// The first character of [`TRAINED`].
@@ -287,7 +281,7 @@ const POSITION: [u8; BLOCK_LISTS] = {
 
 #[cfg(test)]
 mod tests {
-    use super::super::entropy::{Decoder, Encoder, Reader};
+    use super::super::entropy::{Decoder, Encoder};
     use super::*;
 
     #[test]

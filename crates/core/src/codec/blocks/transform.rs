@@ -5,34 +5,29 @@
 use super::model::{BLOCK, BLOCK_LISTS};
 
 /// Values of the lists of a block, row by row.
-pub(super) type Plane = [f32; BLOCK_LISTS];
+pub(super) type BlockPlane = [f32; BLOCK_LISTS];
 
 /// Those of a row or a column.
-pub(super) type Line = [f32; BLOCK];
+pub(super) type Line8 = [f32; BLOCK];
 
 wide! {
     /// The orthonormal transform, frequencies row by row, horizontal ones along a row.
-    pub(super) fn forward(values: &Plane) -> Plane = forward_any;
+    pub(super) fn forward(values: &BlockPlane) -> BlockPlane = forward_any;
 }
 
 wide! {
     /// Inverse of [`forward`].
-    pub(super) fn inverse(coefficients: &Plane) -> Plane = inverse_any;
-}
-
-wide! {
-    /// Orthonormal transforms of the last column and of the last row.
-    pub(super) fn along_edges(values: &Plane) -> [Line; 2] = along_edges_any;
+    pub(super) fn inverse(coefficients: &BlockPlane) -> BlockPlane = inverse_any;
 }
 
 wide! {
     /// Gives the lists outside of `mask` smooth values, so that the transform has little to say of them: the mean, and
     /// then relaxed towards their neighbours'.
-    pub(super) fn fill_in(values: &mut Plane, mask: u64) = fill_in_any;
+    pub(super) fn fill_in(values: &mut BlockPlane, mask: u64) = fill_in_any;
 }
 
 #[inline(always)]
-fn forward_any(values: &Plane) -> Plane {
+fn forward_any(values: &BlockPlane) -> BlockPlane {
     let mut rows = [[0.0; BLOCK]; BLOCK];
     for (row, values) in rows.iter_mut().zip(values.as_chunks::<BLOCK>().0) {
         for (x, &value) in values.iter().enumerate() {
@@ -49,7 +44,7 @@ fn forward_any(values: &Plane) -> Plane {
 }
 
 #[inline(always)]
-fn inverse_any(coefficients: &Plane) -> Plane {
+fn inverse_any(coefficients: &BlockPlane) -> BlockPlane {
     let mut rows = [[0.0; BLOCK]; BLOCK];
     for (frequency, coefficients) in coefficients.as_chunks::<BLOCK>().0.iter().enumerate() {
         if coefficients.iter().any(|&c| c != 0.0) {
@@ -68,18 +63,7 @@ fn inverse_any(coefficients: &Plane) -> Plane {
 }
 
 #[inline(always)]
-fn along_edges_any(values: &Plane) -> [Line; 2] {
-    let (rows, _) = values.as_chunks::<BLOCK>();
-    let [mut right, mut bottom] = [[0.0; BLOCK]; 2];
-    for (n, row) in rows.iter().enumerate() {
-        add_scaled(&mut right, &TRANSPOSED[n], row[BLOCK - 1]);
-        add_scaled(&mut bottom, &TRANSPOSED[n], rows[BLOCK - 1][n]);
-    }
-    [right, bottom]
-}
-
-#[inline(always)]
-fn fill_in_any(values: &mut Plane, mask: u64) {
+fn fill_in_any(values: &mut BlockPlane, mask: u64) {
     if mask == 0 || mask == u64::MAX {
         return;
     }
@@ -193,7 +177,7 @@ const SWEEPS: usize = 12;
 mod tests {
     use super::*;
 
-    fn noise() -> Plane {
+    fn noise() -> BlockPlane {
         std::array::from_fn(|i| ((i * 37 + 11) % 64) as f32 / 64.0 - (i % 7) as f32 / 10.0)
     }
 
@@ -201,7 +185,7 @@ mod tests {
     fn the_transform_is_orthonormal_and_inverts() {
         let values = noise();
         let coefficients = forward(&values);
-        let energy = |p: &Plane| p.iter().map(|v| v * v).sum::<f32>();
+        let energy = |p: &BlockPlane| p.iter().map(|v| v * v).sum::<f32>();
         // 64 terms, each rounded at 2⁻²⁴ some sixteen times.
         assert!((energy(&values) - energy(&coefficients)).abs() < 1e-4 * energy(&values));
         for (a, b) in values.iter().zip(inverse(&coefficients)) {
@@ -239,12 +223,12 @@ mod tests {
     #[test]
     fn filling_in_keeps_what_is_known_and_saves_coefficients() {
         // A ramp that is known on the left: its continuation needs less energy than zeros do.
-        let ramp: Plane = std::array::from_fn(|i| 1.0 + (i % BLOCK) as f32 * 0.1);
+        let ramp: BlockPlane = std::array::from_fn(|i| 1.0 + (i % BLOCK) as f32 * 0.1);
         let mask = 0x0f0f_0f0f_0f0f_0f0f;
         let mut filled = ramp;
         fill_in(&mut filled, mask);
-        let with_zeros: Plane = std::array::from_fn(|i| if mask >> i & 1 == 1 { ramp[i] } else { 0.0 });
-        let high = |p: &Plane| forward(p)[1..].iter().map(|c| c * c).sum::<f32>();
+        let with_zeros: BlockPlane = std::array::from_fn(|i| if mask >> i & 1 == 1 { ramp[i] } else { 0.0 });
+        let high = |p: &BlockPlane| forward(p)[1..].iter().map(|c| c * c).sum::<f32>();
         assert!((0..BLOCK_LISTS).all(|i| mask >> i & 1 == 0 || filled[i] == ramp[i]));
         assert!(high(&filled) < 0.05 * high(&with_zeros));
     }

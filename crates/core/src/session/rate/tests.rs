@@ -5,7 +5,7 @@ const LISTS: usize = 1 << 16;
 fn quality(coding: Coding) -> Option<u8> {
     match coding {
         Coding::Blocks(settings) => Some(settings.quality),
-        Coding::Exact(_) => None,
+        Coding::Exact => None,
     }
 }
 
@@ -261,7 +261,7 @@ fn moving_frames_are_exact_only_where_the_link_does_not_feel_it() {
     let mut coding = |exact_micros: u64, window_bytes| {
         control.exact_bytes = Mean::default();
         control.exact_micros = Mean::default();
-        control.handle_encoded(&Coding::default(), false, LISTS, 400_000, exact_micros);
+        control.handle_encoded(&Coding::Exact, false, LISTS, 400_000, exact_micros);
         control.handle_link(0, LinkState { window_bytes, rtt_micros: 20_000, least_rtt_micros: 20_000 });
         quality(control.next(LISTS, true))
     };

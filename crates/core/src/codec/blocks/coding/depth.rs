@@ -1,26 +1,24 @@
-//! The depth planes of a block in steps.
+//! The depth planes of a block: predicted from those of the blocks to the left and above, and coded in steps.
 
 use std::ops::Range;
 
 use super::super::band::Planes;
 use super::super::entropy::Coder;
-use super::super::meter::About;
 use super::super::model::{BLOCK, DepthPlane, MAX_LAYERS};
-use super::super::steps::Steps;
+use super::super::steps::StepSizes;
 use super::super::syntax::{DEPTH_CONTEXTS, count_class};
 use super::BandCoder;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in super::super) struct PlaneCode {
-    pub(in super::super) z: i32,
-    pub(in super::super) dx: i32,
-    pub(in super::super) dy: i32,
+pub(in crate::codec::blocks) struct PlaneCode {
+    pub(in crate::codec::blocks) z: i32,
+    pub(in crate::codec::blocks) dx: i32,
+    pub(in crate::codec::blocks) dy: i32,
 }
 
 impl<C: Coder> BandCoder<'_, C> {
     /// Codes the planes of a block.
     pub(super) fn fresh(&mut self, codes: &[(PlaneCode, PlaneCode)], neighbors: [Range<usize>; 2]) {
-        self.coder.about(About::Cuts);
         let classes = neighbors.clone().map(|n| count_class(n.len()));
         let models = &mut self.contexts.num_layers[classes[0]][classes[1]];
         let count = self.coder.tree(models, 5, codes.len() as u32).min(MAX_LAYERS as u32);
@@ -107,7 +105,7 @@ pub(super) fn bounded(z: f32, dx: f32, dy: f32) -> DepthPlane {
     DepthPlane { z: z.clamp(-MAX_DEPTH, MAX_DEPTH), dx: slope(dx), dy: slope(dy) }
 }
 
-impl Steps {
+impl StepSizes {
     /// The plane of a code.
     fn plane(&self, code: PlaneCode) -> DepthPlane {
         let slope = self.depth * 0.25;
@@ -115,7 +113,7 @@ impl Steps {
     }
 
     /// The code of the nearest plane.
-    pub(in super::super) fn code(&self, plane: &DepthPlane) -> PlaneCode {
+    pub(in crate::codec::blocks) fn code(&self, plane: &DepthPlane) -> PlaneCode {
         // Not by `floor`, which is a call where instructions are those of every machine.
         let nearest = |v: f32, step: f32| {
             let (code, whole) = (v / step + 0.5, (v / step + 0.5) as i32);
@@ -130,7 +128,7 @@ impl Steps {
     }
 
     /// The codes of planes: what all but touches does, and every back is behind its front.
-    pub(in super::super) fn codes(&self, planes: &[Planes], out: &mut Vec<(PlaneCode, PlaneCode)>) {
+    pub(in crate::codec::blocks) fn codes(&self, planes: &[Planes], out: &mut Vec<(PlaneCode, PlaneCode)>) {
         out.clear();
         for (front, back) in planes {
             let (mut front, mut back) = (self.code(front), self.code(back));
@@ -145,7 +143,7 @@ impl Steps {
     }
 
     /// The planes that a decoder makes of codes.
-    pub(in super::super) fn planes(&self, codes: &[(PlaneCode, PlaneCode)], out: &mut Vec<Planes>) {
+    pub(in crate::codec::blocks) fn planes(&self, codes: &[(PlaneCode, PlaneCode)], out: &mut Vec<Planes>) {
         out.clear();
         out.extend(codes.iter().map(|(front, back)| (self.plane(*front), self.plane(*back))));
     }

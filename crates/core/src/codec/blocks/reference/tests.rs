@@ -1,16 +1,16 @@
-use super::super::band::Lists;
-use super::super::coding::Place;
+use super::super::band::OpenBlock;
+use super::super::model::BandPlace;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::layer::FrameHeader;
+use crate::simd::tests::with_each;
 use crate::space::Aabb;
-use crate::width::tests::with_each;
 
 /// A frame of 3×3 blocks with layers whose lists differ in what they have, one block without any.
 fn reference() -> Reference {
     let size = [3 * BLOCK; 2];
-    let mut band = Band::new(Place { across: 3, first_row: 0, num_rows: 3, size }, 0);
-    let mut lists = Lists::default();
+    let mut band = Band::new(BandPlace { across: 3, first_row: 0, num_rows: 3, size }, 0);
+    let mut lists = OpenBlock::default();
     for block in 0..9usize {
         let first_plane = band.planes.len();
         lists.clear();

@@ -6,7 +6,7 @@ use super::*;
 #[test]
 fn references_are_bounded_in_bytes() {
     let header = made(&scene(Builtin::Cloud), 1, 64, 64, 0.0).header;
-    let band = Arc::new(band::Band::counted_as(MAX_REFERENCE_BYTES / 3));
+    let band = Arc::new(Band::counted_as(MAX_REFERENCE_BYTES / 3));
     let of = |id| {
         let header = FrameHeader { frame: FrameId(id), ..header };
         Arc::new(Reference::new(header, None, vec![band.clone()]))
@@ -44,10 +44,9 @@ fn references_are_bounded_in_bytes() {
 fn damaged_bytes_never_do_more_than_fail() {
     let scene = scene(Builtin::Shells);
     let (_, reference) = encode(&made(&scene, 1, 72, 70, 0.0), &whole(60), None).unwrap();
-    let settings = Settings { is_split: true, ..Settings::of(60) };
     let next = made(&scene, 2, 72, 70, 1.0);
     let [predicted, alone] =
-        [Some(&reference), None].map(|reference| encode(&next, &settings, reference).unwrap().0);
+        [Some(&reference), None].map(|reference| encode(&next, &whole(60), reference).unwrap().0);
     let chunks = [predicted.chunks, alone.chunks].concat();
     let mut references = References::default();
     references.insert(Arc::new(reference));
@@ -77,16 +76,13 @@ fn damaged_bytes_never_do_more_than_fail() {
         }
         if round % 4 == 0 {
             // Past the head, so that the bits themselves are tried.
-            damaged[HEADER_BYTES..HEADER_BYTES + chunk::HEAD_BYTES]
-                .copy_from_slice(&chunk.bytes[HEADER_BYTES..HEADER_BYTES + chunk::HEAD_BYTES]);
+            damaged[HEADER_BYTES..HEADER_BYTES + head::HEAD_BYTES]
+                .copy_from_slice(&chunk.bytes[HEADER_BYTES..HEADER_BYTES + head::HEAD_BYTES]);
         }
-        match decode_chunk(&damaged, &references) {
-            Ok(decoded) => {
+        match decode_with(&[damaged], &references, None) {
+            Ok((frame, _)) => {
                 good += 1;
-                let mut assembly = Assembly::new(decoded.header());
-                if assembly.insert(decoded).is_ok() {
-                    assembly.to_frame().validate().unwrap();
-                }
+                frame.validate().unwrap();
             }
             Err(_) => bad += 1,
         }
@@ -97,48 +93,36 @@ fn damaged_bytes_never_do_more_than_fail() {
 
 #[test]
 fn chunks_that_contradict_each_other_are_refused() {
-    let scene = scene(Builtin::Cubus);
-    let frame = made(&scene, 1, 70, 140, 0.0);
-    let split = |quality| {
-        let (encoded, _) =
-            encode(&frame, &Settings { is_split: true, ..Settings::of(quality) }, None).unwrap();
-        let none = References::default();
-        encoded.chunks.iter().map(|c| decode_chunk(&c.bytes, &none).unwrap()).collect::<Vec<_>>()
-    };
-    let (ours, theirs) = (split(50), split(90));
-    let mut assembly = Assembly::new(ours[0].header());
-    assembly.insert(ours[0].clone()).unwrap();
-    assert_eq!(assembly.insert(ours[0].clone()), Err(CodecError::Duplicate(ChunkIndex(0))));
-    assert!(matches!(assembly.insert(theirs[1].clone()), Err(CodecError::Contradiction { .. })));
-    let exact = crate::codec::encode(&frame, &crate::codec::Settings::default()).unwrap();
-    let exact = decode_chunk(&exact.chunks[1].bytes, &References::default()).unwrap();
-    assert!(matches!(exact, DecodedChunk::Exact(_)));
-    assert!(matches!(assembly.insert(exact), Err(CodecError::Contradiction { .. })));
-    ours.into_iter().skip(1).for_each(|c| assembly.insert(c).unwrap());
-    assert!(assembly.complete());
+    let frame = made(&scene(Builtin::Cubus), 1, 70, 140, 0.0);
+    let [ours, theirs] = [50, 90].map(|quality| encode(&frame, &whole(quality), None).unwrap().0);
+    let exact = crate::codec::encode(&frame).unwrap();
+    let ours = bytes(&ours);
+    assert!(decode(&ours).is_ok() && ours.len() == 2);
+    assert!(matches!(decode(&[ours[0], ours[0]]), Err(CodecError::Duplicate(_))));
+    for other in [&theirs, &exact] {
+        assert!(matches!(decode(&[ours[0], &other.chunks[1].bytes]), Err(CodecError::Contradiction { .. })));
+    }
 }
 
 #[test]
-fn heads_with_unknown_bits_or_with_edges_in_a_predicted_frame_are_refused() {
+fn heads_with_unknown_flags_are_refused() {
     let scene = scene(Builtin::Shells);
     let (alone, reference) = encode(&made(&scene, 1, 40, 40, 0.0), &whole(60), None).unwrap();
     let (predicted, _) = encode(&made(&scene, 2, 40, 40, 1.0), &whole(60), Some(&reference)).unwrap();
     let mut references = References::default();
     references.insert(Arc::new(reference));
-    let with = |encoded: &EncodedFrame, bits: u8| {
-        let mut bytes = encoded.chunks[0].bytes.clone();
-        bytes[HEADER_BYTES] ^= bits;
-        decode_chunk(&bytes, &references)
-    };
-    const EDGES: u8 = 8;
-    const SMOOTH: u8 = 16;
-    assert!(with(&alone, 0).is_ok() && with(&predicted, 0).is_ok());
-    assert_eq!([&alone, &predicted].map(|e| e.chunks[0].bytes[HEADER_BYTES] & EDGES), [EDGES, 0]);
-    assert!([&alone, &predicted].iter().all(|e| e.chunks[0].bytes[HEADER_BYTES] & SMOOTH != 0));
     for encoded in [&alone, &predicted] {
-        for bits in [32, 64, 128] {
-            assert!(matches!(with(encoded, bits), Err(CodecError::Payload { plane: "head", .. })), "{bits}");
+        for flags in 0..=255 {
+            let mut bytes = encoded.chunks[0].bytes.clone();
+            let is_own = bytes[HEADER_BYTES] == flags;
+            bytes[HEADER_BYTES] = flags;
+            let found = decode_with(&[bytes], &references, None);
+            let is_refused = matches!(
+                found,
+                Err(CodecError::Payload { plane: "head" | "blocks" | "corrections", .. }
+                    | CodecError::Reference { .. })
+            );
+            assert!(if is_own { found.is_ok() } else { is_refused }, "{flags}");
         }
     }
-    assert!(matches!(with(&predicted, EDGES), Err(CodecError::Payload { plane: "head", .. })));
 }

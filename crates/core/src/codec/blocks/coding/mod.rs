@@ -1,0 +1,266 @@
+//! The layers of a band in bits: written once, for both directions. What is decoded is computed here too, so that the
+//! encoder works with it.
+
+mod depth;
+mod layer;
+
+use super::super::error::{CodecError, at_most};
+use super::band::{Band, OpenBlock, Planes};
+use super::entropy::Coder;
+use super::model::{BLOCK, BandPlace, BlockLayer, DepthPlane};
+use super::motion::{CameraMotion, Shift};
+use super::reference::{Fetched, HALF, Reference};
+use super::steps::StepSizes;
+use super::syntax::Contexts;
+use depth::{bounded, continued};
+use layer::{BlockContext, CodedLayer};
+
+pub(super) use depth::PlaneCode;
+
+/// Where the planes of a block come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Origin {
+    /// They are coded.
+    #[default]
+    Fresh,
+    /// Those of the block on the left, continued.
+    Left,
+    /// Those of the block above, continued.
+    Above,
+    /// Those of the reference, moved.
+    Kept,
+    /// All of the block is that of the reference, whose camera is the same.
+    Copied,
+}
+
+/// What an encoder says of a block.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Plan {
+    pub(super) origin: Origin,
+    /// The planes, if they are fresh.
+    pub(super) codes: Vec<(PlaneCode, PlaneCode)>,
+    /// The matter between the planes that the decoder will have; none if the block is empty.
+    pub(super) layers: Vec<BlockLayer>,
+}
+
+/// Gives what is to be coded.
+pub(super) trait BlockSource {
+    /// Plans the block at (`x`, `y`) of the band. `offered` writes the planes of an origin, if it has any.
+    fn plan(
+        &mut self,
+        x: usize,
+        y: usize,
+        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
+        plan: &mut Plan,
+    );
+}
+
+/// The source of a decoder.
+pub(super) struct NoSource;
+
+impl BlockSource for NoSource {
+    fn plan(&mut self, _: usize, _: usize, _: &dyn Fn(Origin, &mut Vec<Planes>) -> bool, _: &mut Plan) {}
+}
+
+/// Codes one band.
+pub(super) struct BandCoder<'a, C> {
+    pub(super) coder: C,
+    contexts: Box<Contexts>,
+    steps: StepSizes,
+    place: BandPlace,
+    reference: Option<(&'a Reference, CameraMotion)>,
+    band: Band,
+    /// Beside the planes of the band.
+    layers: Vec<CodedLayer>,
+    /// How each block came to its planes.
+    origins: Vec<Origin>,
+    lists: OpenBlock,
+    fetched: Fetched,
+    offered: Vec<Planes>,
+}
+
+impl<'a, C: Coder> BandCoder<'a, C> {
+    pub(super) fn new(
+        coder: C,
+        steps: StepSizes,
+        place: BandPlace,
+        reference: Option<(&'a Reference, CameraMotion)>,
+        num_cells: usize,
+    ) -> Self {
+        Self {
+            coder,
+            contexts: Contexts::new(),
+            steps,
+            place,
+            reference,
+            band: Band::new(place, num_cells),
+            layers: Vec::new(),
+            origins: Vec::new(),
+            lists: OpenBlock::default(),
+            fetched: Fetched::new(),
+            offered: Vec::new(),
+        }
+    }
+
+    /// Codes all blocks; `limit` is the greatest number of cells.
+    pub(super) fn run(
+        mut self,
+        source: &mut impl BlockSource,
+        limit: usize,
+    ) -> Result<(C, Band, Vec<Origin>), CodecError> {
+        let mut plan = Plan::default();
+        for y in 0..self.place.num_rows {
+            for x in 0..self.place.across {
+                self.block(x, y, source, &mut plan);
+                at_most("segments in a chunk", self.band.num_cells(), limit)?;
+                at_most("rows of segments in a chunk", self.band.num_rows(), limit / 4)?;
+                at_most("layers in a chunk", self.band.planes.len(), limit / 8)?;
+                if self.coder.is_overrun() {
+                    return Err(CodecError::Payload { plane: "blocks", problem: "ends too early".into() });
+                }
+            }
+        }
+        Ok((self.coder, self.band, self.origins))
+    }
+
+    /// Number of the block to the left of or above one, if there is one.
+    fn left(&self, x: usize) -> Option<usize> {
+        (x > 0).then(|| self.band.blocks.len() - 1)
+    }
+
+    fn above(&self, y: usize) -> Option<usize> {
+        (y > 0).then(|| self.band.blocks.len() - self.place.across)
+    }
+
+    /// The planes that an origin has for the block at (`x`, `y`); whether there are any.
+    fn offer(&self, origin: Origin, x: usize, y: usize, out: &mut Vec<Planes>) -> bool {
+        out.clear();
+        let mut offer = |block: Option<usize>, step| {
+            let Some(block) = block else { return };
+            let planes = self.band.planes[self.band.layers(block)].iter();
+            out.extend(planes.map(|(f, b)| (continued(f, step), continued(b, step))));
+        };
+        match origin {
+            Origin::Fresh | Origin::Copied => {}
+            Origin::Left => offer(self.left(x), (1.0, 0.0)),
+            Origin::Above => offer(self.above(y), (0.0, 1.0)),
+            Origin::Kept => self.kept(x, y, out),
+        }
+        !out.is_empty()
+    }
+
+    /// The planes of the block of the reference that the middle of this one has moved to.
+    fn kept(&self, x: usize, y: usize, out: &mut Vec<Planes>) {
+        let Some((reference, motion)) = &self.reference else { return };
+        let y = y + self.place.first_row;
+        let Some(to) = reference.moved_to(motion, x, y) else { return };
+        let Some((band, block)) = reference.block(to[0], to[1]) else { return };
+        let middle = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
+        let theirs = to.map(|v| v as f32 * BLOCK as f32 + HALF);
+        let moved = |p: &DepthPlane| {
+            let shift = motion.at(middle[0], middle[1], p.z).unwrap_or(Shift { x: 0.0, y: 0.0, z: 0.0 });
+            let dx = middle[0] + shift.x - theirs[0];
+            let dy = middle[1] + shift.y - theirs[1];
+            bounded(p.z + p.dx * dx + p.dy * dy - shift.z, p.dx, p.dy)
+        };
+        out.extend(band.planes[band.layers(block)].iter().map(|(f, b)| (moved(f), moved(b))));
+    }
+
+    fn block(&mut self, x: usize, y: usize, source: &mut impl BlockSource, plan: &mut Plan) {
+        if C::ENCODES {
+            source.plan(x, y, &|origin, out| self.offer(origin, x, y, out), plan);
+        }
+        if self.copied(x, y, plan) {
+            return;
+        }
+        let (left, above) = (self.left(x), self.above(y));
+        let layers_of = |block: Option<usize>| block.map_or(0, |b| self.band.layers(b).len());
+        let (num_left, num_above) = (layers_of(left), layers_of(above));
+        let state = |block: Option<usize>, count: usize| block.map_or(0, |_| 1 + usize::from(count > 0));
+        let around = state(left, num_left) * 3 + state(above, num_above);
+        let before =
+            self.reference.as_ref().and_then(|(r, _)| r.block(x as i32, (y + self.place.first_row) as i32));
+        let before = before.map_or(0, |(band, block)| 1 + usize::from(!band.layers(block).is_empty()));
+
+        let first_plane = self.band.planes.len();
+        self.lists.clear();
+        let has_planes = !plan.layers.is_empty();
+        let mut origin = Origin::Fresh;
+        if self.coder.bit(&mut self.contexts.has_planes[around][before], has_planes) {
+            let mut planes = std::mem::take(&mut self.offered);
+            origin = self.origin(x, y, plan.origin, &mut planes);
+            if origin == Origin::Fresh {
+                let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.band.layers(b)));
+                self.fresh(&plan.codes, neighbors);
+            } else {
+                self.band.planes.extend_from_slice(&planes);
+            }
+            self.offered = planes;
+            let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.band.layers(b)));
+            let around = BlockContext { x, y, origin, first_layer: first_plane, neighbors };
+            let mut mask_before = None;
+            for layer in first_plane..self.band.planes.len() {
+                let wanted = plan.layers.get(layer - first_plane);
+                let coded = self.layer(layer, &around, wanted, &mut mask_before);
+                self.layers.push(coded);
+            }
+        }
+        self.band.push(first_plane, &mut self.lists);
+        self.origins.push(origin);
+    }
+
+    /// Copies the block if that is said.
+    fn copied(&mut self, x: usize, y: usize, plan: &Plan) -> bool {
+        let Some((reference, motion)) = self.reference else { return false };
+        let block = reference.block(x as i32, (y + self.place.first_row) as i32);
+        let Some((band, block)) = block.filter(|(band, block)| motion.is_still && band.has_matter(*block))
+        else {
+            return false;
+        };
+        let context = self.around(x, y, |o| o == Origin::Copied);
+        if !self.coder.bit(&mut self.contexts.is_copied[context], plan.origin == Origin::Copied) {
+            return false;
+        }
+        self.band.copy(band, block);
+        self.layers.resize(self.band.planes.len(), CodedLayer::without_matter([0.0; 4]));
+        self.origins.push(Origin::Copied);
+        true
+    }
+
+    /// Context of the origins of the blocks on the left and above.
+    fn around(&self, x: usize, y: usize, is: impl Fn(Origin) -> bool) -> usize {
+        let state = |block: Option<usize>| block.map_or(0, |b| 1 + usize::from(is(self.origins[b])));
+        state(self.left(x)) * 3 + state(self.above(y))
+    }
+
+    /// Where the planes come from, and these unless they are fresh.
+    fn origin(&mut self, x: usize, y: usize, wanted: Origin, planes: &mut Vec<Planes>) -> Origin {
+        let (left, above) = (self.left(x), self.above(y));
+        let is_kept = self.around(x, y, |o| o == Origin::Kept);
+        let is_merged = self.around(x, y, |o| matches!(o, Origin::Left | Origin::Above));
+        if self.offer(Origin::Kept, x, y, planes)
+            && self.coder.bit(&mut self.contexts.is_kept[is_kept], wanted == Origin::Kept)
+        {
+            return Origin::Kept;
+        }
+        let has = |block: Option<usize>| block.is_some_and(|b| !self.band.layers(b).is_empty());
+        let (has_left, has_above) = (has(left), has(above));
+        let is_wanted = matches!(wanted, Origin::Left | Origin::Above);
+        if !(has_left || has_above) || !self.coder.bit(&mut self.contexts.is_merged[is_merged], is_wanted) {
+            return Origin::Fresh;
+        }
+        let is_above = if has_left && has_above {
+            let context = match left.map(|b| self.origins[b]) {
+                Some(Origin::Above) => 2,
+                Some(Origin::Left) => 1,
+                _ => 0,
+            };
+            self.coder.bit(&mut self.contexts.is_above[context], wanted == Origin::Above)
+        } else {
+            has_above
+        };
+        let origin = if is_above { Origin::Above } else { Origin::Left };
+        self.offer(origin, x, y, planes);
+        origin
+    }
+}

@@ -1,0 +1,134 @@
+//! Decoded blocks as a layered frame.
+
+use rayon::prelude::*;
+
+use super::super::bands::split_off;
+use super::band::{Band, CellPlanes, NO_CELLS};
+use super::model::{BLOCK, BLOCK_LISTS, lists_of};
+use super::reference::Reference;
+use super::scales::{roots, scales};
+use crate::layer::{LayeredFrame, pack_halves};
+
+impl Reference {
+    /// The frame that a client shows.
+    pub fn to_frame(&self) -> LayeredFrame {
+        self.to_frame_in(None)
+    }
+
+    /// The same, in the memory of a frame.
+    pub(in crate::codec) fn to_frame_in(&self, spare: Option<LayeredFrame>) -> LayeredFrame {
+        let width = self.header.camera.intrinsics.width as usize;
+        let total: usize = self.bands.iter().map(|b| b.num_cells()).sum();
+        let mut frame = LayeredFrame::in_memory_of(spare, self.header, total);
+        let mut ends = &mut frame.offsets[1..];
+        let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
+        let mut work = Vec::with_capacity(self.bands.len());
+        let mut offset = 0;
+        for band in &self.bands {
+            let rows = band.blocks.len() / band.across.max(1) * BLOCK;
+            let lists = (rows * width).min(ends.len());
+            let count = band.num_cells();
+            work.push((
+                band,
+                offset as u32,
+                split_off(&mut ends, lists),
+                planes.each_mut().map(|plane| split_off(plane, count)),
+            ));
+            offset += count;
+        }
+        work.into_par_iter()
+            .for_each(|(band, offset, ends, planes)| write_words(band, width, offset, ends, planes));
+        frame
+    }
+}
+
+wide! {
+    /// Writes the segments of a band list by list in the packed form of [`LayeredFrame`], and where those of each list end,
+    /// counted from `offset`.
+    fn write_words(
+        band: &Band,
+        columns: usize,
+        offset: u32,
+        ends: &mut [u32],
+        planes: [&mut [u32]; 3],
+    ) = write_words_any;
+}
+
+#[inline(always)]
+fn write_words_any(
+    band: &Band,
+    columns: usize,
+    offset: u32,
+    ends: &mut [u32],
+    [depth, c_rg, c_b_tau]: [&mut [u32]; 3],
+) {
+    let mut to = 0;
+    let mut spread = NO_CELLS;
+    for (y, ends) in ends.chunks_mut(columns * BLOCK).enumerate() {
+        let blocks = y * band.across..(y + 1) * band.across;
+        // How long lists are, then where they end.
+        for (x, block) in blocks.clone().enumerate() {
+            let mut lengths = [0; BLOCK_LISTS];
+            for layer in band.cells_of(block).layers {
+                for (i, length) in lengths.iter_mut().enumerate() {
+                    *length += (layer.mask >> i & 1) as u32;
+                }
+            }
+            for (ends, lengths) in ends.chunks_mut(columns).zip(lengths.chunks_exact(BLOCK)) {
+                for (end, length) in ends[x * BLOCK..].iter_mut().zip(lengths) {
+                    *end = *length;
+                }
+            }
+        }
+        let first = to;
+        for end in &mut *ends {
+            to += *end;
+            *end = offset + to;
+        }
+        for (x, block) in blocks.enumerate() {
+            // Where the next segment of each list goes.
+            let mut places = [0; BLOCK_LISTS];
+            for (row, places) in places.chunks_exact_mut(BLOCK).enumerate() {
+                for (column, place) in places.iter_mut().enumerate() {
+                    let list = row * columns + x * BLOCK + column;
+                    // There is none below the last row of the frame.
+                    *place = match list.checked_sub(1) {
+                        Some(before) => ends.get(before).map_or(0, |end| end - offset),
+                        None => first,
+                    };
+                }
+            }
+            let mut walk = band.cells_of(block).walk(&mut spread);
+            while let Some((layer, cells)) = walk.next() {
+                let words = words_of(cells);
+                for i in lists_of(layer.mask) {
+                    let place = places[i] as usize;
+                    places[i] += 1;
+                    depth[place] = words[0][i];
+                    c_rg[place] = words[1][i];
+                    c_b_tau[place] = words[2][i];
+                }
+            }
+        }
+    }
+}
+
+/// Cells as segments in the packed form.
+#[inline(always)]
+fn words_of([front, back, u, y, co, cg]: &CellPlanes) -> [[u32; BLOCK_LISTS]; 3] {
+    let scales = scales();
+    let (mut alpha, mut tau) = ([0.0; BLOCK_LISTS], [0; BLOCK_LISTS]);
+    for (i, code) in u.iter().enumerate() {
+        alpha[i] = scales.alpha[usize::from(*code)];
+        tau[i] = u32::from(scales.tau_half[usize::from(*code)]);
+    }
+    let mut words = [[0; BLOCK_LISTS]; 3];
+    let [depth, rg, b_tau] = &mut words;
+    for i in 0..BLOCK_LISTS {
+        let [r, g, b] = roots([y[i] as i16, co[i] as i16, cg[i] as i16]).map(|root| root * root * alpha[i]);
+        depth[i] = u32::from(front[i]) | u32::from(back[i]) << 16;
+        rg[i] = pack_halves(r, g);
+        b_tau[i] = pack_halves(b, 0.0) | tau[i] << 16;
+    }
+    words
+}
