@@ -20,23 +20,23 @@ use isinglass_formats::{default_preset, load_transfer, open};
 
 /// Name, and checksum of the frame.
 const VECTORS: [(&str, u64); 6] = [
-    ("exact-3-cloud", 0),
-    ("exact-3-cubus", 0),
-    ("exact-3-shells-long-lists", 0),
-    ("exact-3-empty", 0),
-    ("exact-3-shells-mip-parallel", 0),
-    ("exact-3-bands", 0),
+    ("exact-3-cloud", 0x1a8c_e645_8a4e_6f53),
+    ("exact-3-cubus", 0x7fba_9ff9_4122_3274),
+    ("exact-3-shells-long-lists", 0x6fd7_e382_9414_573c),
+    ("exact-3-empty", 0xed8c_5c23_6a1c_e039),
+    ("exact-3-shells-mip-parallel", 0x9de1_ea95_88f3_0909),
+    ("exact-3-bands", 0x7f88_8f10_f80a_f46a),
 ];
 
 /// Name, the one before that it may be predicted from, and checksum of the frame.
 const BLOCKS: [(&str, Option<&str>, u64); 7] = [
-    ("blocks-3-shells", None, 0),
-    ("blocks-3-shells-turned", Some("blocks-3-shells"), 0),
-    ("blocks-3-shells-at-rest", Some("blocks-3-shells-turned"), 0),
-    ("blocks-3-cubus-coarse", None, 0),
-    ("blocks-3-bands", None, 0),
-    ("blocks-3-bands-turned", Some("blocks-3-bands"), 0),
-    ("blocks-3-parallel", None, 0),
+    ("blocks-3-shells", None, 0x9975_128e_7b16_70e1),
+    ("blocks-3-shells-turned", Some("blocks-3-shells"), 0x4587_15b6_7ad1_1de3),
+    ("blocks-3-shells-at-rest", Some("blocks-3-shells-turned"), 0x4bad_8e5c_552d_6b89),
+    ("blocks-3-cubus-coarse", None, 0xf516_1226_5e73_7afd),
+    ("blocks-3-bands", None, 0x7cea_caa3_3430_05e8),
+    ("blocks-3-bands-turned", Some("blocks-3-bands"), 0xaf07_21af_d248_962f),
+    ("blocks-3-parallel", None, 0x505e_6283_64b0_9847),
 ];
 
 fn path(name: &str) -> PathBuf {
