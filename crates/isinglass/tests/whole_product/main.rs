@@ -227,5 +227,5 @@ const BEHIND_DEGREES: RangeInclusive<f32> = 11.5..=26.0;
 /// Two pictures may be on their way to the screen when a refresh begins.
 const IN_FLIGHT: usize = 3;
 /// Such novel views have 0.001 to 0.004, and up to 0.008 on a loaded machine, whose server makes coarser frames. The
-/// server's own pictures, one or two steps late, have 0.016 and more.
+/// server's own pictures, one or two steps late, have 0.015 and more.
 const MAX_DSSIM: f64 = 0.012;
