@@ -58,12 +58,11 @@ async fn serve_with(builtin: Builtin, plan: CodingPlan, backend: Backend) -> Run
     .unwrap()
 }
 
-/// Waits until the complete frame for a pose is there.
+/// Waits until the frame for a pose is there.
 fn frame_for(client: &Client, pose: PoseId) -> Arc<ReceivedFrame> {
     let patience = Instant::now() + Duration::from_secs(60);
     loop {
         if let Some(frame) = client.latest_frame()
-            && frame.is_complete
             && frame.frame.header.pose == pose
         {
             return frame;
@@ -184,7 +183,7 @@ fn a_new_look_reaches_the_picture_and_only_its_own_viewer() {
     let patience = Instant::now() + Duration::from_secs(60);
     let after = loop {
         let frame = changing.latest_frame().unwrap();
-        if frame.is_complete && frame.frame.header.look > before.frame.header.look {
+        if frame.frame.header.look > before.frame.header.look {
             break frame;
         }
         assert!(Instant::now() < patience, "the look never changed");
@@ -259,7 +258,7 @@ fn turned_over(
             late.push(last.0 - shown.0);
         }
     }
-    let frames = client.ledger().iter().filter(|t| t.at(Stage::Whole).is_some()).count();
+    let frames = client.ledger().iter().filter(|t| t.at(Stage::Received).is_some()).count();
     let at_rest = frame_for(&client, last);
     assert_eq!(at_rest.frame.header.camera.pose, pose(60));
     // The server goes with its connections; the test waits for what it needs of them first.
@@ -292,7 +291,7 @@ fn frames_keep_up_on_a_narrow_link_and_are_exact_at_rest() {
     assert!(late * 2 < late_exact && frames > 2 * frames_exact, "{late} poses late, {frames} frames");
     let ledger = client.ledger();
     let (first, last) = (ledger.first().unwrap(), ledger.last().unwrap());
-    let seconds = (last.at(Stage::Whole).unwrap() - first.at(Stage::Whole).unwrap()) as f64 / 1e6;
+    let seconds = (last.at(Stage::Received).unwrap() - first.at(Stage::Received).unwrap()) as f64 / 1e6;
     let bytes: u64 = ledger.iter().skip(1).map(|t| t.bytes).sum();
     // A tenth for the burst that a pause leaves room for.
     assert!(bytes as f64 <= 0.25e6 * 1.1 * seconds + 8e3, "{bytes} bytes in {seconds} s");

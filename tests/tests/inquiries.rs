@@ -103,9 +103,8 @@ fn a_draft_of_the_shade_is_called_one_and_the_rest_has_all_of_it() {
     })
     .0;
     assert!(last > first, "{last} after {first}: the draft has a number of its own");
-    let with_version = |version: LookVersion| {
-        client.latest_frame().filter(|f| f.is_complete && f.frame.header.look == version)
-    };
+    let with_version =
+        |version: LookVersion| client.latest_frame().filter(|f| f.frame.header.look == version);
     let shown = wait_for("the frame with all of the shade", || with_version(last));
     let header = shown.frame.header;
     let made = |lighting: Lighting| {

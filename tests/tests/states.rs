@@ -145,7 +145,7 @@ impl Window {
         let wanted = state.camera.unwrap().pose();
         let frame = self.until("the picture at rest", |w| {
             let refresh = w.refresh.borrow().clone()?;
-            let frame = refresh.frame.filter(|f| f.is_complete && f.is_exact)?;
+            let frame = refresh.frame.filter(|f| f.is_exact)?;
             let is_settled = refresh.standing == isinglass_client::Standing::Settled;
             (is_settled && frame.frame.header.camera.pose == wanted).then_some(frame)
         });

@@ -287,7 +287,7 @@ impl StillSource {
         };
         let frame: LayeredFrame = generate(&self.scene, header);
         let times = Life::default();
-        Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times })
+        Arc::new(ReceivedFrame { frame, is_exact: true, times })
     }
 }
 

@@ -122,7 +122,7 @@ fn until<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
 fn picture_of(client: &Client, time: u32) -> Picture {
     until("the picture of a time", || {
         let frame = client.latest_frame()?;
-        let is_wanted = client.talk().selection.choices()?.shown.time == Some(time) && frame.is_complete;
+        let is_wanted = client.talk().selection.choices()?.shown.time == Some(time);
         (is_wanted && frame.is_of(&client.talk())).then(|| frame.frame.flatten())
     })
 }

@@ -214,7 +214,7 @@ mod tests {
         let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 5.0), intrinsics, &BOUNDS);
         let header = FrameHeader::alone(camera, 4);
         let frame = LayeredFrame::empty(header);
-        let frame = ReceivedFrame { frame, is_complete: true, is_exact: true, times: Default::default() };
+        let frame = ReceivedFrame { frame, is_exact: true, times: Default::default() };
         Wish { view: 0, frame: Arc::new(frame), bounds: BOUNDS, camera }
     }
 

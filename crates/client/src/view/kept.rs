@@ -20,13 +20,13 @@ pub(crate) struct KeptFrames {
 }
 
 impl KeptFrames {
-    /// Keeps a complete displayed frame. A frame of another volume, look or connection drops all earlier ones.
+    /// Keeps a displayed frame. A frame of another volume, look or connection drops all earlier ones.
     pub(crate) fn note(&mut self, shown: &Arc<ReceivedFrame>, bounds: &Aabb) {
         if self.bounds.replace(*bounds) != Some(*bounds) {
             self.frames.clear();
         }
         self.frames.retain(|f| is_alike(f, shown));
-        if !shown.is_complete || self.frames.iter().any(|f| Arc::ptr_eq(f, shown)) {
+        if self.frames.iter().any(|f| Arc::ptr_eq(f, shown)) {
             return;
         }
         self.frames.push_back(shown.clone());
@@ -100,7 +100,7 @@ mod tests {
         Camera::new(pose, intrinsics, &BOUNDS)
     }
 
-    fn frame(number: u32, camera: Camera, look: u32, is_complete: bool) -> Arc<ReceivedFrame> {
+    fn frame(number: u32, camera: Camera, look: u32) -> Arc<ReceivedFrame> {
         let header = FrameHeader {
             frame: FrameId(number),
             pose: PoseId(number),
@@ -111,7 +111,7 @@ mod tests {
         };
         let mut times = Life::new(header.frame, header.pose);
         times.connection = 1;
-        Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_complete, is_exact: true, times })
+        Arc::new(ReceivedFrame { frame: LayeredFrame::empty(header), is_exact: true, times })
     }
 
     #[test]
@@ -119,7 +119,7 @@ mod tests {
         let mut kept = KeptFrames::default();
         for i in 0..100u32 {
             // Five places far apart, and between them many frames that hardly differ.
-            let shown = frame(i, camera((i / 20) as f32 * 40.0 + (i % 20) as f32 * 0.1, 2.0), 1, true);
+            let shown = frame(i, camera((i / 20) as f32 * 40.0 + (i % 20) as f32 * 0.1, 2.0), 1);
             kept.note(&shown, &BOUNDS);
             kept.note(&shown, &BOUNDS);
             assert!(kept.frames.len() <= MAX_KEPT);
@@ -128,26 +128,24 @@ mod tests {
         for place in 0..5 {
             assert!(kept.frames.iter().any(|f| f.frame.header.frame.0 / 20 == place), "{place}");
         }
-        kept.note(&frame(100, camera(0.0, 2.0), 1, false), &BOUNDS);
-        assert!(kept.frames.iter().all(|f| f.is_complete));
-        kept.note(&frame(101, camera(0.0, 2.0), 2, true), &BOUNDS);
+        kept.note(&frame(101, camera(0.0, 2.0), 2), &BOUNDS);
         assert_eq!(kept.frames.len(), 1, "another look shows other matter");
         let other = Aabb { max: Vec3::splat(2.0), ..BOUNDS };
-        kept.note(&frame(102, camera(1.0, 2.0), 2, true), &other);
+        kept.note(&frame(102, camera(1.0, 2.0), 2), &other);
         assert_eq!(kept.frames.len(), 1, "and so does another volume");
     }
 
     #[test]
     fn kept_frames_come_in_where_the_newest_does_not_see_the_picture() {
         let mut kept = KeptFrames::default();
-        let (left, newest) = (frame(1, camera(-30.0, 1.5), 1, true), frame(2, camera(0.0, 1.5), 1, true));
+        let (left, newest) = (frame(1, camera(-30.0, 1.5), 1), frame(2, camera(0.0, 1.5), 1));
         kept.note(&left, &BOUNDS);
         kept.note(&newest, &BOUNDS);
         assert!(kept.choose(&newest, &camera(0.0, 1.5), &BOUNDS).is_empty());
         let chosen = kept.choose(&newest, &camera(-20.0, 1.5), &BOUNDS);
         assert!(chosen.len() == 1 && Arc::ptr_eq(&chosen[0], &left));
         // From far away the newest frame has seen all that there is.
-        let far = frame(3, camera(10.0, 9.0), 1, true);
+        let far = frame(3, camera(10.0, 9.0), 1);
         kept.note(&far, &BOUNDS);
         assert!(kept.choose(&far, &camera(40.0, 9.0), &BOUNDS).is_empty());
     }

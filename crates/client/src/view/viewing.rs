@@ -304,7 +304,7 @@ impl<S: FrameSource> Viewing<S> {
     }
 
     /// The frame to show: the newest. The exception is a picture that is already the server's own, if the newest has
-    /// the same pose but is incomplete or no longer exact.
+    /// the same pose but is not exact.
     fn choose(
         &self,
         now: Duration,
@@ -314,8 +314,7 @@ impl<S: FrameSource> Viewing<S> {
         let newest = newest?;
         let shown = self.last.as_ref().and_then(|(_, frame)| frame.as_ref());
         let shown = shown.filter(|f| {
-            let is_less = !newest.is_complete || f.is_exact && !newest.is_exact;
-            is_less && is_own(&newest, own) && self.is_settled(now, f, own)
+            f.is_exact && !newest.is_exact && is_own(&newest, own) && self.is_settled(now, f, own)
         });
         Some(shown.cloned().unwrap_or(newest))
     }
@@ -403,16 +402,16 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
-    /// Whether a frame is the camera's own, complete and of the chosen look, and no better one will come.
+    /// Whether a frame is the camera's own and of the chosen look, and no better one will come.
     fn is_settled(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> bool {
         // A server may send a frame in blocks again exactly, or not.
-        let complete_since = frame.times.at(Stage::WholeDecoded).map(Duration::from_micros);
-        let is_last = frame.is_exact || complete_since.is_some_and(|since| now >= since + FINER_PATIENCE);
+        let since = frame.times.at(Stage::Decoded).map(Duration::from_micros);
+        let is_last = frame.is_exact || since.is_some_and(|since| now >= since + FINER_PATIENCE);
         let is_of_look = || {
             let talk = self.source.talk();
             !talk.look.is_draft() && talk.look.is_chosen(frame.frame.header.look)
         };
-        is_own(frame, own) && frame.is_complete && is_last && is_of_look()
+        is_own(frame, own) && is_last && is_of_look()
     }
 
     fn age(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> Option<Duration> {

@@ -13,14 +13,15 @@ pub(super) struct Borders {
 }
 
 impl Borders {
-    /// Those of `num_bands` bands of about the same work, given the work of each row. There are no fewer rows than bands.
+    /// Borders of `num_bands` bands with about the same work each, given the work of each row. There must be at least
+    /// as many rows as bands.
     pub(super) fn sharing(work: &[usize], num_bands: u8) -> Self {
         let num = usize::from(num_bands).saturating_sub(1).min(MAX_CHUNKS - 1);
         let total: usize = work.iter().sum();
         let mut ends = [0; MAX_CHUNKS - 1];
         let (mut row, mut done) = (0, 0);
         for (n, end) in ends[..num].iter_mut().enumerate() {
-            // A row at least for this band, and for each of those behind it.
+            // This band and each later one get at least one row.
             let (least, most) = (row + 1, work.len().saturating_sub(num - n));
             let goal = total * (n + 1) / (num + 1);
             while row < least || (row < most && done + work[row] / 2 < goal) {
@@ -58,7 +59,7 @@ impl Borders {
         self.ends().iter().for_each(|end| out.extend(end.to_le_bytes()));
     }
 
-    /// The rows of a band, of a frame with so many.
+    /// The rows of a band in a frame of `num_rows` rows.
     pub(super) fn rows(&self, band: usize, num_rows: usize) -> Range<usize> {
         let end = |n: usize| self.ends().get(n).map_or(num_rows, |end| usize::from(*end));
         let first = band.checked_sub(1).map_or(0, end);
@@ -70,7 +71,7 @@ impl Borders {
     }
 }
 
-/// Cuts the first `n` elements off a slice: bands are written to where they stay in a frame.
+/// Cuts the first `n` elements off a slice. So each band is written to its final place in a frame.
 pub(super) fn split_off<'a, T>(slice: &mut &'a mut [T], n: usize) -> &'a mut [T] {
     let (head, tail) = std::mem::take(slice).split_at_mut(n);
     *slice = tail;

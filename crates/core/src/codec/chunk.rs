@@ -30,7 +30,7 @@ impl EncodedFrame {
         self.chunks.iter().map(|c| c.bytes.len()).sum()
     }
 
-    /// A frame of these payloads, band by band. The payload of each chunk is `head` and then its own.
+    /// Makes a frame from the payloads of its bands. Each chunk has `head` in front of its payload.
     pub(super) fn from_payloads(
         frame: FrameHeader,
         is_exact: bool,
@@ -51,7 +51,10 @@ impl EncodedFrame {
     }
 }
 
-/// All chunks of a frame, with their headers, band by band; refused if they are not exactly those.
+/// Returns all chunks of a frame with their headers, from the top band.
+///
+/// # Errors
+/// If a chunk is missing, appears twice, is damaged or belongs to another frame.
 pub(super) fn all_of_frame<B: AsRef<[u8]>>(chunks: &[B]) -> Result<Vec<(ChunkHeader, &[u8])>, CodecError> {
     let first = chunks.first().ok_or(CodecError::Incomplete { found: 0, expected: 1 })?;
     let first = peek(first.as_ref())?;

@@ -9,9 +9,9 @@ pub enum CodecError {
     /// Bytes are missing or left over.
     #[error("chunk has {found} bytes, expected {expected}")]
     Length {
-        /// Bytes given.
+        /// Number of bytes given.
         found: usize,
-        /// Bytes that the header asks for, or those of a header.
+        /// Number of bytes that the header states, or the size of a header.
         expected: usize,
     },
     /// The first bytes are not those of a chunk.
@@ -46,9 +46,9 @@ pub enum CodecError {
     /// More than any receiver accepts.
     #[error("{found} {what}, at most {limit} are accepted")]
     TooLarge {
-        /// What there is too much of.
+        /// The counted thing.
         what: &'static str,
-        /// How much there is.
+        /// Its number.
         found: usize,
         /// The limit.
         limit: usize,
@@ -58,15 +58,15 @@ pub enum CodecError {
     Contradiction {
         /// The chunk.
         index: ChunkIndex,
-        /// The frame it names.
+        /// The frame that it names.
         frame: FrameId,
-        /// Where they differ.
+        /// The contradiction.
         what: &'static str,
     },
     /// Two chunks have the same index.
     #[error("chunk {0} came twice")]
     Duplicate(ChunkIndex),
-    /// The reference of a predicted frame is not here.
+    /// The reference of a predicted frame is missing.
     #[error("frame {frame} is predicted from frame {reference}, which is not here")]
     Reference {
         /// The frame.
@@ -83,9 +83,9 @@ pub enum CodecError {
     /// Chunks are missing.
     #[error("{found} chunks of a frame, expected {expected}")]
     Incomplete {
-        /// Chunks given.
+        /// Number of chunks given.
         found: usize,
-        /// Chunks the frame has.
+        /// Number of chunks of the frame.
         expected: usize,
     },
 }

@@ -9,23 +9,23 @@ use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId};
 use crate::layer::{FrameHeader, MAX_K};
 use crate::mode::Mode;
 
-/// What a chunk says of itself and of its frame.
+/// The header of a chunk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChunkHeader {
     /// The frame.
     pub frame: FrameHeader,
-    /// Whether the coding is the exact one; otherwise the frame is in blocks.
+    /// Whether the frame is coded exactly; otherwise it is in blocks.
     pub is_exact: bool,
     /// The band, counted from the top, below `num_chunks`.
     pub index: ChunkIndex,
-    /// Chunks of the frame, and so its bands.
+    /// Number of chunks of the frame, which is its number of bands.
     pub num_chunks: u8,
-    /// Bytes after the header.
+    /// Number of bytes after the header.
     pub payload_bytes: u32,
 }
 
 impl ChunkHeader {
-    /// The error of a chunk that is not as its frame's others are.
+    /// The error of a chunk that contradicts other chunks of its frame.
     pub(super) fn contradicts(&self, what: &'static str) -> CodecError {
         CodecError::Contradiction { index: self.index, frame: self.frame.frame, what }
     }
@@ -67,7 +67,7 @@ impl ChunkHeader {
     }
 }
 
-/// Reads the header at the start of a chunk; the bytes after [`HEADER_BYTES`] need not be there yet.
+/// Reads the header at the start of a chunk. The bytes after [`HEADER_BYTES`] may still be missing.
 pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
     let fixed: &[u8; HEADER_BYTES] =
         bytes.first_chunk().ok_or(CodecError::Length { found: bytes.len(), expected: HEADER_BYTES })?;
@@ -130,12 +130,12 @@ fn in_range(what: &'static str, found: usize, min: usize, max: usize) -> Result<
     Err(CodecError::Header { what, found: found.to_string(), expected: format!("{min} to {max}") })
 }
 
-/// Bands of a frame of so many rows: one for every four tile rows, 1 to [`MAX_CHUNKS`].
+/// Number of bands of a frame with `height` rows: one for every four tile rows, 1 to [`MAX_CHUNKS`].
 pub(super) fn num_bands(height: u32) -> u8 {
     (num_tiles(height) / 4).clamp(1, MAX_CHUNKS) as u8
 }
 
-/// Tiles along a side of so many lists.
+/// Number of tiles along a side of `side` lists.
 pub(super) fn num_tiles(side: u32) -> usize {
     (side as usize).div_ceil(TILE)
 }
@@ -165,9 +165,9 @@ impl Reader<'_> {
     }
 }
 
-/// Bytes of a chunk's header.
+/// Size of a chunk's header, bytes.
 pub const HEADER_BYTES: usize = 72;
-/// Side of a tile in lists. Bands are at least a row of tiles.
+/// Side of a tile, lists. A band has at least one row of tiles.
 pub const TILE: usize = 16;
 
 const MAGIC: [u8; 4] = *b"IGLC";

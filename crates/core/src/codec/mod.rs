@@ -1,11 +1,11 @@
-//! Layered frames to bytes and back, by one of two codings.
+//! Codes layered frames as bytes, in one of two codings.
 //!
-//! [`Coding::Exact`] keeps all lists and depths. [`Coding::Blocks`] takes far fewer bytes: 8×8 lists share their depth
-//! planes, and a frame is predicted from one before it. Each band of rows is a chunk, which a thread encodes or decodes.
-//! Chunk bytes are documented in `docs/PROTOCOL.md`, "Layered-frame payload"; nothing outside of this module reads or
+//! [`Coding::Exact`] keeps all lists and depths. [`Coding::Blocks`] takes far fewer bytes: 8×8 lists share their
+//! depth planes, and a frame is predicted from an earlier one. Each band of rows is a chunk, and one thread codes it.
+//! `docs/PROTOCOL.md`, "Layered-frame payload", describes the bytes of chunks. Nothing outside this module reads or
 //! writes them.
 //!
-//! Decoding is total: any bytes give a value or an error, in time and memory bounded by the constants here.
+//! Decoding is total: any bytes give a value or an error, in time and memory that `limits` bounds.
 //!
 //! A file or folder uses only those above it; `tests/tests/module_order.rs` checks it.
 //!
@@ -52,13 +52,13 @@ pub enum Coding {
 }
 
 impl Coding {
-    /// This, or the one that stands for it in frames of a mode: projections are exact only.
+    /// This coding, or the one that replaces it for a mode: projections are always exact.
     pub fn for_mode(self, mode: Mode) -> Self {
         if mode.is_projection() { Self::Exact } else { self }
     }
 
-    /// Encodes a frame, which must be valid ([`LayeredFrame::validate`]). One in blocks is predicted from the reference,
-    /// if there is one, which the receiver must have. It can be the reference of later ones.
+    /// Encodes a valid frame ([`LayeredFrame::validate`]). A frame in blocks is predicted from the reference, if
+    /// given. The receiver must have that reference. Also returns what later frames can be predicted from.
     ///
     /// # Errors
     /// On frames above the limits of this module, and on projections in blocks.
@@ -70,8 +70,8 @@ impl Coding {
         self.encode_while(frame, reference, ALWAYS)
     }
 
-    /// The same. Each band or row of blocks asks whether the frame is still wanted; if not, the result is
-    /// [`CodecError::Abandoned`].
+    /// The same, but it stops with [`CodecError::Abandoned`] when the frame is no longer wanted. Each band or row of
+    /// blocks asks.
     pub fn encode_while(
         &self,
         frame: &LayeredFrame,
@@ -89,7 +89,7 @@ impl Coding {
     }
 }
 
-/// Makes the tables of both codings, some tens of milliseconds of work that the first frame would wait for otherwise.
+/// Makes the tables of both codings. Otherwise the first frame would wait for them for some tens of milliseconds.
 pub fn prepare() {
     exact::prepare();
     blocks::prepare();
@@ -103,7 +103,7 @@ pub fn encode(frame: &LayeredFrame) -> Result<EncodedFrame, CodecError> {
     exact::encode(frame, ALWAYS)
 }
 
-/// Decodes all chunks of a frame that is predicted from no other, in any order.
+/// Decodes all chunks, in any order, of a frame without a reference.
 ///
 /// # Errors
 /// See [`decode_with`].
@@ -111,11 +111,11 @@ pub fn decode<B: AsRef<[u8]>>(chunks: &[B]) -> Result<LayeredFrame, CodecError> 
     decode_with(chunks, &References::default(), None).map(|(frame, _)| frame)
 }
 
-/// Decodes all chunks of a frame, in any order, in the memory of `spare`, a frame that is no longer needed. The reference of a
-/// predicted frame must be among `references`. Returns what later frames may be predicted from, too: a frame in blocks.
+/// Decodes all chunks of a frame, in any order. The reference of a predicted frame must be among `references`. Reuses
+/// the memory of `spare`. For a frame in blocks, also returns what later frames can be predicted from.
 ///
 /// # Errors
-/// On chunks that are damaged, missing or of different frames, and if the reference is not here.
+/// If chunks are damaged, missing or of different frames, or if the reference is missing.
 pub fn decode_with<B: AsRef<[u8]>>(
     chunks: &[B],
     references: &References,

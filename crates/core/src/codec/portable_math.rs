@@ -1,9 +1,9 @@
-//! Functions by sums, products and quotients alone. Libraries differ in the last bit of theirs, and all machines must
-//! decode the same.
+//! Functions made of sums, products and quotients only. The functions of libraries differ in the last bit, and all
+//! machines must decode alike.
 
 use crate::layer::TAU_MAX;
 
-/// e^−x for x in [0, [`TAU_MAX`]]. The series of e^(−x/1024) is squared ten times.
+/// e^−x for x in [0, [`TAU_MAX`]]: the series of e^(−x/1024), squared ten times.
 pub(super) fn exp_neg(x: f32) -> f64 {
     debug_assert!((0.0..=TAU_MAX).contains(&x), "{x}");
     let y = f64::from(x) / 1024.0;
@@ -17,7 +17,7 @@ pub(super) fn exp_neg(x: f32) -> f64 {
     sum
 }
 
-/// Natural logarithm of a number from 1 on, by the series of the inverse hyperbolic tangent.
+/// Natural logarithm of a number of at least 1, by the series of the inverse hyperbolic tangent.
 pub(super) fn ln(x: f64) -> f64 {
     let bits = x.to_bits();
     let octave = (bits >> 52) as i32 - 1023;

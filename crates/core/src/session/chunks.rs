@@ -1,14 +1,12 @@
 //! The chunks of frames in flight: which ones the server sends or gives up, and which ones the client decodes.
 //!
-//! Each chunk has its own stream; see [`crate::codec`]. A frame has a *base*, which can be shown alone, and
-//! *refinements*. On a slow link, dropping every superseded chunk would deliver nothing: a newer frame would cancel
-//! each one just before its end. So the server
-//! - drops a base only when the client is known to have a newer complete base;
-//! - drops refinements as soon as it starts to send a newer base.
+//! Each chunk has its own stream; see [`crate::codec`]. A frame can be decoded when all its chunks have arrived. On a
+//! slow link, dropping every superseded frame would deliver nothing: a newer frame would cancel each one just before its
+//! end. So the server drops a frame only when the client is known to have a newer one.
 //!
 //! The client assembles at most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] in total; a newer frame evicts
-//! the oldest. A frame with a complete base ends the older ones. Decoding never returns to an older frame, except to
-//! one that other frames may be predicted from. A predicted frame waits for its reference.
+//! the oldest. A complete frame ends the older ones. Decoding never returns to an older frame, except to one that other
+//! frames may be predicted from. A predicted frame waits for its reference.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -28,8 +26,6 @@ pub struct ChunkPlace {
     pub index: ChunkIndex,
     /// Number of chunks in the frame, 1 to [`MAX_CHUNKS`].
     pub num_chunks: u16,
-    /// Number of leading chunks that form the base.
-    pub num_base_chunks: u16,
     /// How the frame takes part in prediction; `None` if no frame is predicted from it.
     pub prediction: Option<Prediction>,
 }
@@ -45,7 +41,7 @@ pub struct Prediction {
 #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ChunkError {
     /// The numbers in its header contradict each other.
-    #[error("frame {}: chunk {} of {}, {} of them base, expected at most {MAX_CHUNKS}", .0.frame, .0.index, .0.num_chunks, .0.num_base_chunks)]
+    #[error("frame {}: chunk {} of {}, expected at most {MAX_CHUNKS}", .0.frame, .0.index, .0.num_chunks)]
     Place(ChunkPlace),
     /// Its header contradicts that of an earlier chunk.
     #[error("frame {0}: chunks disagree about the frame")]
@@ -58,18 +54,14 @@ pub enum ChunkError {
     TooLong(FrameId),
 }
 
-/// Chunks to decode now.
+/// A frame to decode now.
 #[derive(Debug)]
 pub struct DecodeJob {
-    /// Their connection; see [`ChunksClient::handle_connected`].
+    /// Its connection; see [`ChunksClient::handle_connected`].
     pub connection: u32,
     /// The frame.
     pub frame: FrameId,
-    /// Whether this job begins the frame. Otherwise its chunks extend the previous job's result.
-    pub is_first: bool,
-    /// Whether the frame is complete after this job.
-    pub is_last: bool,
-    /// The chunks, in any order.
+    /// All its chunks, in any order.
     pub chunks: Vec<Vec<u8>>,
 }
 
@@ -82,47 +74,38 @@ pub struct DecodeJob {
 pub struct ChunksClient {
     poses: VecDeque<(PoseId, u64)>,
     assembling: BTreeMap<FrameId, Assembling>,
-    newest_base: Option<FrameId>,
+    /// The newest frame that was ready to be decoded.
+    newest: Option<FrameId>,
     /// The last frames of this connection that others can be predicted from.
     references: VecDeque<FrameId>,
     /// A future reference that is being decoded.
     coming: Option<FrameId>,
-    /// Whether the newest base belongs to a frame that others can be predicted from.
+    /// Whether other frames can be predicted from the newest.
     is_predicting: bool,
-    /// A frame whose refinements are no longer expected.
-    given_up: Option<FrameId>,
     newest_decoded: Option<Life>,
     ledger: Ledger,
     decoded_at: VecDeque<u64>,
     /// Recent time to decode a list, ns.
     decode_nanos_per_list: f64,
-    /// Whether recent frames were complete before the next base arrived.
-    refinements_keep_up: bool,
 }
 
 #[derive(Debug)]
 struct Assembling {
     place: ChunkPlace,
-    /// Chunks that no decode job has taken yet.
-    waiting: Vec<Vec<u8>>,
+    chunks: Vec<Vec<u8>>,
+    /// A bit for each chunk.
     arrived: u32,
     num_bytes: usize,
-    is_decoding: bool,
 }
 
 impl Assembling {
-    /// Whether everything needed to decode it is there.
+    /// Whether everything needed to decode it is there, its reference included.
     fn is_ready(&self, references: &VecDeque<FrameId>) -> bool {
         let named = self.place.prediction.and_then(|p| p.reference);
-        self.has_base() && named.is_none_or(|r| references.contains(&r))
+        self.is_complete() && named.is_none_or(|r| references.contains(&r))
     }
 
-    fn has_base(&self) -> bool {
-        let base = (1u32 << self.place.num_base_chunks) - 1;
-        self.arrived & base == base
-    }
-
-    fn has_all(&self) -> bool {
+    fn is_complete(&self) -> bool {
         self.arrived.count_ones() == u32::from(self.place.num_chunks)
     }
 }
@@ -134,8 +117,7 @@ impl ChunksClient {
         self.assembling.clear();
         self.references.clear();
         self.coming = None;
-        self.given_up = None;
-        self.newest_base = None;
+        self.newest = None;
         self.is_predicting = false;
     }
 
@@ -157,7 +139,7 @@ impl ChunksClient {
 
     /// Whether a chunk of this frame can still be useful; `is_predicting` if others can be predicted from the frame.
     pub fn wants(&self, frame: FrameId, is_predicting: bool) -> bool {
-        let is_new = self.newest_base.is_none_or(|newest| frame >= newest);
+        let is_new = self.newest.is_none_or(|newest| frame >= newest);
         // Later frames may refer to it although the newest has overtaken it.
         let is_late = is_predicting
             && !self.is_predicting
@@ -179,18 +161,15 @@ impl ChunksClient {
         place: ChunkPlace,
         bytes: Vec<u8>,
     ) -> Result<(), ChunkError> {
-        let ChunkPlace { frame, index, num_chunks, num_base_chunks, .. } = place;
-        let is_sound = usize::from(num_chunks) <= MAX_CHUNKS
-            && index.0 < num_chunks
-            && (1..=num_chunks).contains(&num_base_chunks);
-        if !is_sound {
+        let ChunkPlace { frame, index, num_chunks, .. } = place;
+        if usize::from(num_chunks) > MAX_CHUNKS || index.0 >= num_chunks {
             return Err(ChunkError::Place(place));
         }
-        if !self.wants(frame, place.prediction.is_some()) || self.given_up == Some(frame) {
+        if !self.wants(frame, place.prediction.is_some()) {
             return Ok(());
         }
         if !self.assembling.contains_key(&frame) {
-            match self.ledger.get(frame).map(|life| life.at(Stage::Whole).is_some()) {
+            match self.ledger.get(frame).map(|life| life.at(Stage::Received).is_some()) {
                 Some(true) => return Err(ChunkError::Twice(frame, index)),
                 // Its earlier chunks were evicted and are not sent again, so it can never be complete.
                 Some(false) => return Ok(()),
@@ -199,10 +178,7 @@ impl ChunksClient {
             if self.assembling.len() == MAX_ASSEMBLING {
                 self.drop_oldest();
             }
-            self.assembling.insert(
-                frame,
-                Assembling { place, waiting: vec![], arrived: 0, num_bytes: 0, is_decoding: false },
-            );
+            self.assembling.insert(frame, Assembling { place, chunks: vec![], arrived: 0, num_bytes: 0 });
             self.open_ledger(first_byte_micros, place);
         }
         let Some(a) = self.assembling.get_mut(&frame) else { return Ok(()) };
@@ -218,14 +194,9 @@ impl ChunksClient {
         }
         a.arrived |= 1 << index.0;
         a.num_bytes += bytes.len();
-        let length = bytes.len() as u64;
-        a.waiting.push(bytes);
-        let (has_base, has_all) = (a.has_base(), a.has_all());
-        self.ledger.add_bytes(frame, length);
-        if has_all {
-            self.ledger.stamp(now_micros, frame, Stage::Whole);
-        }
-        if has_base {
+        self.ledger.add_bytes(frame, bytes.len() as u64);
+        a.chunks.push(bytes);
+        if a.is_complete() {
             self.ledger.stamp(now_micros, frame, Stage::Received);
             self.choose();
         }
@@ -259,18 +230,15 @@ impl ChunksClient {
         };
         let ready = self.assembling.iter().rev().find(can_be_next);
         let Some((&frame, assembling)) = ready else { return };
-        if self.newest_base.is_some_and(|newest| frame <= newest) {
+        if self.newest.is_some_and(|newest| frame <= newest) {
             return;
         }
         self.is_predicting = assembling.place.prediction.is_some();
-        if self.newest_base.is_some_and(|newest| self.assembling.contains_key(&newest)) {
-            self.refinements_keep_up = false;
-        }
         let newer = self.assembling.split_off(&frame);
         for (old, _) in std::mem::replace(&mut self.assembling, newer) {
             self.ledger.give_up(old);
         }
-        self.newest_base = Some(frame);
+        self.newest = Some(frame);
     }
 
     fn drop_oldest(&mut self) {
@@ -279,88 +247,34 @@ impl ChunksClient {
         }
     }
 
-    /// Returns the next job: the newest frame if it is complete, or else its base.
-    ///
-    /// A base without refinements lacks matter that a turned camera sees. While refinements keep up, the previous
-    /// complete picture is better for a moment. So a base is held back until a newer one follows it, or for a quarter
-    /// of a second.
+    /// Returns the next job: the newest frame, or a reference that it has overtaken.
     pub fn poll_decode(&mut self, now_micros: u64) -> Option<DecodeJob> {
-        self.poll_newest(now_micros).or_else(|| self.poll_late(now_micros))
-    }
-
-    fn poll_newest(&mut self, now_micros: u64) -> Option<DecodeJob> {
-        let frame = self.newest_base?;
-        let is_held = self.hold_until().is_some_and(|until| now_micros < until);
-        let a = self.assembling.get_mut(&frame).filter(|a| a.is_decoding || a.has_base())?;
-        let is_last = a.has_all();
-        if (a.is_decoding || is_held) && !is_last {
-            return None;
-        }
-        let is_first = !std::mem::replace(&mut a.is_decoding, true);
-        let chunks = std::mem::take(&mut a.waiting);
+        let frame = self.next()?;
+        let Assembling { place, chunks, .. } = self.assembling.remove(&frame)?;
+        self.coming = place.prediction.map(|_| frame);
         self.ledger.stamp(now_micros, frame, Stage::DecodingBegun);
-        if is_last {
-            if let Some(whole) = self.assembling.remove(&frame) {
-                self.coming = whole.place.prediction.map(|_| frame);
-            }
-            self.refinements_keep_up = true;
-        }
-        Some(DecodeJob { connection: self.connection(), frame, is_first, is_last, chunks })
+        Some(DecodeJob { connection: self.connection(), frame, chunks })
     }
 
-    /// Returns a job for a reference that the newest frame has overtaken.
-    fn poll_late(&mut self, now_micros: u64) -> Option<DecodeJob> {
-        let newest = self.newest_base?;
+    fn next(&self) -> Option<FrameId> {
+        let newest = self.newest?;
+        if let Some(a) = self.assembling.get(&newest) {
+            return a.is_ready(&self.references).then_some(newest);
+        }
         if self.is_predicting || self.coming.is_some() {
             return None;
         }
-        // The current picture's refinements come first, unless a newer frame has arrived.
-        let is_finished = self.assembling.get(&newest).is_none_or(|a| {
-            a.is_decoding && self.assembling.last_key_value().is_some_and(|(last, _)| *last > newest)
-        });
-        if !is_finished {
-            return None;
-        }
-        let is_ready = |a: &Assembling| a.place.prediction.is_some() && a.is_ready(&self.references);
-        let frame = self.assembling.range(..newest).find(|(_, a)| is_ready(a)).map(|(frame, _)| *frame)?;
-        let late = self.assembling.remove(&frame)?;
-        // Its refinements would arrive after another frame's chunks.
-        if self.assembling.remove(&newest).is_some() {
-            self.given_up = Some(newest);
-        }
-        self.coming = Some(frame);
-        self.ledger.stamp(now_micros, frame, Stage::DecodingBegun);
-        Some(DecodeJob {
-            connection: self.connection(),
-            frame,
-            is_first: true,
-            is_last: true,
-            chunks: late.waiting,
-        })
+        let is_late = |a: &Assembling| a.place.prediction.is_some() && a.is_ready(&self.references);
+        self.assembling.range(..newest).find(|(_, a)| is_late(a)).map(|(frame, _)| *frame)
     }
 
-    /// The time at which to call [`ChunksClient::poll_decode`] again even if nothing arrives.
-    pub fn hold_until(&self) -> Option<u64> {
-        let frame = self.newest_base?;
-        let is_waiting = self.assembling.get(&frame).is_some_and(|a| !a.is_decoding && !a.has_all());
-        let holds = is_waiting && self.refinements_keep_up && self.newest_decoded.is_some();
-        let received = self.ledger.get(frame)?.at(Stage::Received)?;
-        holds.then_some(received + HOLD_MICROS)
-    }
-
-    /// A job is decoded. Returns the frame's life if the picture may be shown: it belongs to this connection and is
-    /// not older than the previous one.
-    pub fn handle_decoded(
-        &mut self,
-        now_micros: u64,
-        connection: u32,
-        frame: FrameId,
-        is_complete: bool,
-    ) -> Option<Life> {
+    /// A frame is decoded. Returns its life if the picture may be shown: it belongs to this connection and is newer
+    /// than the previous one.
+    pub fn handle_decoded(&mut self, now_micros: u64, connection: u32, frame: FrameId) -> Option<Life> {
         if connection != self.connection() {
             return None;
         }
-        if is_complete && self.coming.take_if(|coming| *coming == frame).is_some() {
+        if self.coming.take_if(|coming| *coming == frame).is_some() {
             if self.references.len() == MAX_REFERENCES {
                 self.references.pop_front();
             }
@@ -370,30 +284,22 @@ impl ChunksClient {
         if self.newest_decoded.is_some_and(|t| t.connection == connection && t.frame > frame) {
             return None;
         }
-        let is_new = self.ledger.get(frame)?.at(Stage::Decoded).is_none();
         self.ledger.stamp(now_micros, frame, Stage::Decoded);
-        if is_complete {
-            self.ledger.stamp(now_micros, frame, Stage::WholeDecoded);
+        if self.decoded_at.len() == MAX_RATE_SAMPLES {
+            self.decoded_at.pop_front();
         }
-        if is_new {
-            if self.decoded_at.len() == MAX_RATE_SAMPLES {
-                self.decoded_at.pop_front();
-            }
-            self.decoded_at.push_back(now_micros);
-        }
-        self.newest_decoded = self.ledger.get(frame).copied();
+        self.decoded_at.push_back(now_micros);
+        self.newest_decoded = Some(*self.ledger.get(frame)?);
         self.newest_decoded
     }
 
-    /// A job could not be decoded. The frame is given up.
+    /// A frame could not be decoded and is given up.
     pub fn handle_broken(&mut self, connection: u32, frame: FrameId) {
         if connection == self.connection() {
             self.ledger.give_up(frame);
-            self.assembling.remove(&frame);
             self.coming.take_if(|coming| *coming == frame);
-            if self.newest_base == Some(frame) {
-                self.newest_base =
-                    self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
+            if self.newest == Some(frame) {
+                self.newest = self.newest_decoded.filter(|t| t.connection == connection).map(|t| t.frame);
             }
             // Other frames may have waited for it.
             self.choose();
@@ -418,10 +324,9 @@ impl ChunksClient {
         self.ledger.stamp(now_micros, frame, Stage::Shown);
     }
 
-    /// The newest frame whose base is complete, for the next pose datagram. With prediction, the newest decoded
-    /// frame.
+    /// The newest complete frame, for the next pose datagram. With prediction, the newest decoded frame.
     pub fn newest_complete(&self) -> Option<FrameId> {
-        if self.is_predicting { self.references.back().copied() } else { self.newest_base }
+        if self.is_predicting { self.references.back().copied() } else { self.newest }
     }
 
     /// Number of frames decoded in the last second.
@@ -444,10 +349,10 @@ impl ChunksClient {
     }
 }
 
-/// The server's half: which chunks are still worth sending.
+/// The server's half: which frames are still worth sending.
 ///
-/// Call `handle_base_handed` before a base is written, `handle_base_delivered` when all of it is acknowledged, and
-/// `handle_report` for each pose datagram. Check `is_superseded` after any of these.
+/// Call `handle_handed` before a frame is written, `handle_delivered` when all of it is acknowledged, and
+/// `handle_report` for each pose datagram. Check `is_superseded` after the last two.
 #[derive(Clone, Debug, Default)]
 pub struct ChunksServer {
     handed: FrameId,
@@ -456,27 +361,27 @@ pub struct ChunksServer {
 }
 
 impl ChunksServer {
-    /// The base of a frame is about to be written.
-    pub fn handle_base_handed(&mut self, frame: FrameId) {
+    /// A frame is about to be written.
+    pub fn handle_handed(&mut self, frame: FrameId) {
         self.handed = self.handed.max(frame);
     }
 
-    /// The client has a whole base. A client that claims frames it never got gains nothing.
-    pub fn handle_base_delivered(&mut self, frame: FrameId) {
+    /// The client has a whole frame. A client that claims frames it never got gains nothing.
+    pub fn handle_delivered(&mut self, frame: FrameId) {
         self.complete = self.complete.max(frame.min(self.handed));
     }
 
     /// A pose datagram names the newest complete frame; `is_newest` unless a newer datagram has overtaken it.
     pub fn handle_report(&mut self, newest_complete: FrameId, is_newest: bool) {
-        self.handle_base_delivered(newest_complete);
+        self.handle_delivered(newest_complete);
         if is_newest {
             self.reported = newest_complete.min(self.handed);
         }
     }
 
-    /// Whether a chunk is no longer worth sending.
-    pub fn is_superseded(&self, frame: FrameId, is_base: bool) -> bool {
-        if is_base { self.complete > frame } else { self.handed > frame }
+    /// Whether a frame is no longer worth sending, because the client has a newer one.
+    pub fn is_superseded(&self, frame: FrameId) -> bool {
+        self.complete > frame
     }
 
     /// The newest frame according to the client's newest pose; 0 for none. With prediction, the client has decoded
@@ -485,36 +390,35 @@ impl ChunksServer {
         self.reported
     }
 
-    /// The newest frame whose base the client has; 0 for none.
+    /// The newest frame that the client has; 0 for none.
     pub fn newest_complete(&self) -> FrameId {
         self.complete
     }
 }
 
-/// The role of a chunk in relation to other frames.
+/// The role of a frame in relation to others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rank {
     /// Later frames may be predicted from it and wait for it at the client.
     Predicting,
-    /// It is a whole picture or its base.
-    Base,
-    /// It refines a picture.
-    Refinement,
+    /// No frame is predicted from it.
+    Independent,
+    /// The same, and it repeats the previous frame with a finer coding.
+    Finer,
 }
 
-/// Priority of a chunk's stream: references before bases, and bases before refinements. Older references come first;
-/// otherwise newer frames do. Within a frame the index decides. The control stream has [`CONTROL_PRIORITY`].
+/// Priority of a chunk's stream. The rank decides first. Older frames come first among predicting ones, and newer frames
+/// among others. Within a frame the index decides. The control stream has [`CONTROL_PRIORITY`].
 ///
-/// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that the bands never meet.
+/// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that ranks never mix.
 pub fn priority(frame: FrameId, index: ChunkIndex, rank: Rank) -> i32 {
     let newer_first = (frame.0 & FRAMES) as i32;
-    let (band, frame) = match rank {
+    let (rank, frame) = match rank {
         Rank::Predicting => (2, FRAMES as i32 - newer_first),
-        Rank::Base => (1, newer_first),
-        Rank::Refinement => (0, newer_first),
+        Rank::Independent => (1, newer_first),
+        Rank::Finer => (0, newer_first),
     };
-    // The control stream has the top value.
-    band * BAND + (frame << 4) + 14 - i32::from(index.0.min(14))
+    rank * PER_RANK + (frame << 4) + 14 - i32::from(index.0.min(14))
 }
 
 /// Most frames in reassembly: half a second of predicted frames at 60 Hz, while a lost packet of the first is sent
@@ -524,9 +428,6 @@ pub const MAX_ASSEMBLING: usize = 32;
 pub const MAX_ASSEMBLING_BYTES: usize = 256 << 20;
 /// Most bytes in one frame's chunks: half of the largest picture with full lists, unpacked.
 pub const MAX_FRAME_BYTES: usize = 192 << 20;
-/// Longest time to hold back a base for its refinements. In about this time the congestion window paces out the
-/// second half of a frame, at a round trip of 300 ms.
-const HOLD_MICROS: u64 = 250_000;
 /// Weight of the newest decoding time in the mean.
 const DECODE_GAIN: f64 = 0.25;
 /// Poses whose time is remembered: four seconds' worth, longer than any round trip.
@@ -540,7 +441,7 @@ pub const CONTROL_PRIORITY: i32 = i32::MAX;
 /// Frame numbers that priorities distinguish.
 const FRAMES: u32 = 0x01ff_ffff;
 /// Number of priorities per rank.
-const BAND: i32 = 1 << 29;
+const PER_RANK: i32 = 1 << 29;
 
 #[cfg(test)]
 mod tests;

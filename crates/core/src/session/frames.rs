@@ -1,4 +1,4 @@
-//! Which frames the server makes for one viewer: the next pose, the coding, and what is given up or refined.
+//! Which frames the server makes for one viewer: the next pose, the coding, and what is given up or sent again.
 //!
 //! A frame names its pose and its look version (see [`crate::layer::FrameHeader`]). No pose is answered twice with
 //! the same look. At rest the server sends the same frame again, with a finer coding.
@@ -218,7 +218,7 @@ impl FramesServer {
         Some(Sending { asked: Asked { header, ..sent.asked }, coding, is_finer: true, ..sent })
     }
 
-    /// Whether a refinement at rest is no longer worth its time, given this pose and look.
+    /// Whether a finer frame or a margin is no longer worth its time, given this pose and look.
     pub fn is_outdated(sending: &Sending, newest: &PoseRequest, version: LookVersion) -> bool {
         let Asked { request, header, .. } = &sending.asked;
         let is_same = request.pose == newest.pose && is_same_picture(&request.intrinsics, &newest.intrinsics);

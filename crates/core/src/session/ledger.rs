@@ -22,26 +22,22 @@ pub enum Stage {
     Coded,
     /// The network has its first byte.
     FirstByteSent,
-    /// The network has the last byte of its base.
+    /// The network has its last byte.
     LastByteSent,
     /// Its first byte has arrived.
     FirstByteReceived,
-    /// Its base has arrived.
+    /// All of it has arrived.
     Received,
     /// The decoder began with it.
     DecodingBegun,
-    /// Its base is decoded.
+    /// It is decoded.
     Decoded,
     /// It appeared on the screen for the first time.
     Shown,
-    /// Its last chunk has arrived.
-    Whole,
-    /// All of it is decoded.
-    WholeDecoded,
 }
 
 impl Stage {
-    /// The stages that every frame passes, in order.
+    /// All stages, in order.
     pub const ALL: [Self; 12] = [
         Self::Asked,
         Self::Begun,
@@ -56,7 +52,6 @@ impl Stage {
         Self::Decoded,
         Self::Shown,
     ];
-    const COUNT: usize = Self::WholeDecoded as usize + 1;
 
     /// The name that people see.
     pub const fn name(self) -> &'static str {
@@ -73,8 +68,6 @@ impl Stage {
             Self::DecodingBegun => "decoding begun",
             Self::Decoded => "decoded",
             Self::Shown => "first shown",
-            Self::Whole => "whole",
-            Self::WholeDecoded => "whole decoded",
         }
     }
 }
@@ -92,7 +85,7 @@ pub struct Life {
     pub bytes: u64,
     /// Whether work on it stopped before its end.
     pub is_given_up: bool,
-    stamps: [Option<u64>; Stage::COUNT],
+    stamps: [Option<u64>; Stage::ALL.len()],
 }
 
 impl Life {
@@ -113,7 +106,7 @@ impl Life {
         self
     }
 
-    /// The last of [`Stage::ALL`] that it has reached.
+    /// The last stage that it has reached.
     pub fn last_stage(&self) -> Option<Stage> {
         Stage::ALL.into_iter().rev().find(|stage| self.at(*stage).is_some())
     }

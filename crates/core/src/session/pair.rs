@@ -175,7 +175,7 @@ impl Pair {
                 Down::Chunk(place, version) => {
                     self.chunks.handle_chunk(now, now, place, vec![0]).unwrap();
                     while let Some(job) = self.chunks.poll_decode(now) {
-                        let life = self.chunks.handle_decoded(now, job.connection, job.frame, job.is_last);
+                        let life = self.chunks.handle_decoded(now, job.connection, job.frame);
                         self.shown.extend(life.map(|life| (life.frame, version)));
                     }
                 }
@@ -211,10 +211,9 @@ impl Pair {
                 pose: newest.id,
                 index: ChunkIndex(0),
                 num_chunks: 1,
-                num_base_chunks: 1,
                 prediction: None,
             };
-            server.chunks.handle_base_handed(self.frame);
+            server.chunks.handle_handed(self.frame);
             let at = self.link.arrival(self.now);
             self.link.down.push((at, Down::Chunk(place, answer.1)));
         }

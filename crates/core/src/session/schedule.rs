@@ -11,7 +11,7 @@ pub enum Station {
     Generate,
     /// Codes it to bytes.
     Code,
-    /// Writes it to the network, up to the end of its base.
+    /// Writes it to the network.
     Send,
 }
 

@@ -8,7 +8,7 @@
 //! | 4 | u16 | height in pixels |
 //! | 6 | u16 | what decoding takes the client, ns a list; 0: not known |
 //! | 8 | u32 | pose id, not 0 |
-//! | 12 | u32 | newest frame whose base is complete at the client, 0 for none |
+//! | 12 | u32 | newest frame that is complete at the client, 0 for none |
 //! | 16 | u64 | the client's clock when the pose was set, µs; the server only echoes it |
 //! | 24 | 3 × f32 | eye, world units |
 //! | 36 | 4 × f32 | world_from_view, quaternion x y z w |
@@ -30,7 +30,7 @@ pub struct PoseRequest {
     pub pose: Pose,
     /// Size and projection of the frame.
     pub intrinsics: Intrinsics,
-    /// The newest frame whose base is complete at the client.
+    /// The newest frame that is complete at the client; with prediction, the newest decoded one.
     pub newest_complete: Option<FrameId>,
     /// How far the client's moving camera is turned from that of the shown frame, about the volume's centre. Whole
     /// degrees up to [`MAX_SHOWN_TURN_DEG`]. `None` at rest, and without a frame or with an exact one.

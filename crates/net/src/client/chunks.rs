@@ -86,7 +86,6 @@ fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
         pose: header.frame.pose,
         index: header.index,
         num_chunks: header.num_chunks.into(),
-        num_base_chunks: header.num_chunks.into(),
     }
 }
 

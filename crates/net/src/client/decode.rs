@@ -54,14 +54,13 @@ pub(super) fn run(shared: &Shared) {
         let times = {
             let mut chunks = shared.chunks();
             chunks.handle_decode_time(now.saturating_sub(begun_micros), num_lists);
-            chunks.handle_decoded(now, job.connection, job.frame, job.is_last)
+            chunks.handle_decoded(now, job.connection, job.frame)
         };
         let Some(times) = times else { continue };
-        let is_complete = job.is_last;
-        let received = Arc::new(ReceivedFrame { frame, is_complete, is_exact, times });
+        let received = Arc::new(ReceivedFrame { frame, is_exact, times });
         given.note(&received);
         shared.frame.store(Some(received));
-        tracing::trace!(is_complete = job.is_last, "decoded");
+        tracing::trace!("decoded");
         (shared.wake)();
     }
 }
@@ -73,12 +72,10 @@ fn next_job(shared: &Shared) -> Option<DecodeJob> {
         if shared.is_stopping() {
             return None;
         }
-        let now = shared.clock.now_micros();
-        if let Some(job) = chunks.poll_decode(now) {
+        if let Some(job) = chunks.poll_decode(shared.clock.now_micros()) {
             return Some(job);
         }
-        let held = chunks.hold_until().map(|until| Duration::from_micros(until.saturating_sub(now)));
-        let waited = shared.decode_wanted.wait_timeout(chunks, held.unwrap_or(Duration::from_secs(1)));
+        let waited = shared.decode_wanted.wait_timeout(chunks, Duration::from_secs(1));
         chunks = waited.unwrap_or_else(PoisonError::into_inner).0;
     }
 }
@@ -124,7 +121,7 @@ mod tests {
             let camera = Camera::new(pose, Intrinsics::perspective(4, 3, 0.7), &bounds);
             let frame =
                 LayeredFrame::empty(FrameHeader { frame: FrameId(id), ..FrameHeader::alone(camera, 4) });
-            Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: false, times: Life::default() })
+            Arc::new(ReceivedFrame { frame, is_exact: false, times: Life::default() })
         };
         let mut given = Given::default();
         assert!(given.take().is_none());

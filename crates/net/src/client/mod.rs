@@ -116,8 +116,6 @@ pub enum State {
 pub struct ReceivedFrame {
     /// The frame.
     pub frame: LayeredFrame,
-    /// Whether its refinements are included. If not, the same frame comes again with them.
-    pub is_complete: bool,
     /// Whether all lists and depths equal the server's.
     pub is_exact: bool,
     /// Its life so far.

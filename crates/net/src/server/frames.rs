@@ -44,8 +44,8 @@ impl FrameSender {
         self.send_inner(frame, chunks, false).instrument(span).await
     }
 
-    /// The same for a frame that only refines the previous one. It yields to the rest of other frames, unless later
-    /// ones may be predicted from it.
+    /// The same for a finer version of the previous frame. It yields to other frames, unless later ones may be
+    /// predicted from it.
     ///
     /// # Errors
     /// If the connection is over.
@@ -106,15 +106,12 @@ impl FrameSender {
         is_finer: bool,
     ) -> Result<(), SessionClosed> {
         let link = &self.link;
-        // Refinements of older frames are now superseded, which frees the window for this base.
-        link.talk.lock_quietly().chunks.handle_base_handed(frame);
-        link.progress.send_replace(());
-        // Later frames may be predicted from this one, so it must arrive before them.
-        let is_kept = chunks.first().is_some_and(|c| codec::peek(&c.bytes).is_ok_and(|h| !h.is_exact));
-        let rank = match (is_kept, is_finer) {
-            (true, _) => Rank::Predicting,
-            (false, false) => Rank::Base,
-            (false, true) => Rank::Refinement,
+        link.talk.lock_quietly().chunks.handle_handed(frame);
+        let is_exact = chunks.first().is_none_or(|c| codec::peek(&c.bytes).map_or(true, |h| h.is_exact));
+        let rank = match (is_exact, is_finer) {
+            (false, _) => Rank::Predicting,
+            (true, false) => Rank::Independent,
+            (true, true) => Rank::Finer,
         };
         let writing = Writing::of(link);
         let mut streams = Vec::with_capacity(chunks.len());
@@ -125,25 +122,25 @@ impl FrameSender {
         }
         drop(writing);
         link.journal.stamp(frame, Stage::LastByteSent);
-        tracing::trace!("base taken");
+        tracing::trace!("taken");
         let watched = link.clone();
-        tokio::spawn(async move { deliver_base(&watched, frame, streams, is_kept).await }.in_current_span());
+        tokio::spawn(async move { deliver(&watched, frame, streams, rank).await }.in_current_span());
         Ok(())
     }
 }
 
-/// Waits until the base is acknowledged. Gives it up when a newer base is, unless it is kept.
-async fn deliver_base(link: &ViewerLink, frame: FrameId, streams: Vec<ChunkStream>, is_kept: bool) {
+/// Waits until a frame is acknowledged. Gives it up when a newer one is, unless later frames may be predicted from it.
+async fn deliver(link: &ViewerLink, frame: FrameId, streams: Vec<ChunkStream>, rank: Rank) {
     tokio::select! {
         biased;
         is_delivered = all_delivered(&streams) => {
             if is_delivered {
-                tracing::trace!("base delivered");
-                link.talk.lock_quietly().chunks.handle_base_delivered(frame);
+                tracing::trace!("delivered");
+                link.talk.lock_quietly().chunks.handle_delivered(frame);
                 link.progress.send_replace(());
             }
         }
-        () = superseded(link, frame, true), if !is_kept => drop(streams),
+        () = superseded(link, frame), if rank != Rank::Predicting => drop(streams),
     }
 }
 
@@ -163,10 +160,10 @@ impl Drop for Writing<'_> {
     }
 }
 
-/// Returns when the chunks of a frame are no longer worth sending.
-async fn superseded(link: &ViewerLink, frame: FrameId, is_base: bool) {
+/// Returns when a frame is no longer worth sending.
+async fn superseded(link: &ViewerLink, frame: FrameId) {
     let mut progress = link.progress.subscribe();
-    while !link.talk.lock_quietly().chunks.is_superseded(frame, is_base) {
+    while !link.talk.lock_quietly().chunks.is_superseded(frame) {
         if progress.changed().await.is_err() {
             return;
         }

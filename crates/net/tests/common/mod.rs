@@ -136,6 +136,5 @@ pub(crate) async fn until_answered(
     client: &Client,
     pose: PoseId,
 ) -> std::sync::Arc<isinglass_net::ReceivedFrame> {
-    until("an answer", || client.latest_frame().filter(|f| f.is_complete && f.frame.header.pose == pose))
-        .await
+    until("an answer", || client.latest_frame().filter(|f| f.frame.header.pose == pose)).await
 }

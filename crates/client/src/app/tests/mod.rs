@@ -151,7 +151,7 @@ impl Here {
         };
         let frame = generate(&self.scene, header);
         let times = Life::default();
-        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete: true, is_exact: true, times }));
+        self.frame = Some(Arc::new(ReceivedFrame { frame, is_exact: true, times }));
     }
 }
 

@@ -103,7 +103,7 @@ impl FakeSource {
     }
 
     /// Answers the wish number `pose`, from 1, that was made at `pose_set`.
-    fn answer(&mut self, pose: u32, pose_set: Duration, is_complete: bool) {
+    fn answer(&mut self, pose: u32, pose_set: Duration) {
         let (at, intrinsics) = self.asked[pose as usize - 1];
         let header = FrameHeader {
             frame: FrameId(pose),
@@ -114,9 +114,9 @@ impl FakeSource {
             mode: Default::default(),
         };
         let micros = pose_set.as_micros() as u64;
-        let times = Life::default().with(Stage::Asked, micros).with(Stage::WholeDecoded, micros);
+        let times = Life::default().with(Stage::Asked, micros).with(Stage::Decoded, micros);
         let frame = LayeredFrame::empty(header);
-        self.frame = Some(Arc::new(ReceivedFrame { frame, is_complete, is_exact: !self.in_blocks, times }));
+        self.frame = Some(Arc::new(ReceivedFrame { frame, is_exact: !self.in_blocks, times }));
     }
 }
 
@@ -160,7 +160,7 @@ fn the_first_frame_asked_for_is_small() {
     // A first frame that is there soon is followed by a whole one at once.
     let mut v = Viewing::new(FakeSource::default(), frame_size, Foresight::default());
     v.refresh(ms(0), at(0.0), picture, &BOUNDS);
-    v.source_mut().answer(1, ms(0), true);
+    v.source_mut().answer(1, ms(0));
     v.refresh(ms(10), at(0.0), picture, &BOUNDS);
     let refresh = v.refresh(ms(20), at(0.0), picture, &BOUNDS);
     assert_eq!(v.source().asked.last().map(|(_, i)| *i), Some(picture));
@@ -174,7 +174,7 @@ fn the_first_frame_asked_for_is_small() {
     assert_eq!(v.refresh(ms(400), at(5.0), picture, &BOUNDS).standing, Standing::Refining);
     // The server's own picture is there still, but nobody stands behind it.
     let number = v.source().asked.len() as u32;
-    v.source_mut().answer(number, ms(400), true);
+    v.source_mut().answer(number, ms(400));
     assert_eq!(v.refresh(ms(410), at(5.0), picture, &BOUNDS).standing, Standing::Exact);
     v.source_mut().refused = Some(ConnectError::Lost("gone".into()));
     assert_eq!(v.refresh(ms(420), at(5.0), picture, &BOUNDS).standing, Standing::Offline);
@@ -191,7 +191,7 @@ fn the_picture_has_the_present_camera_whatever_the_frame() {
         turned.extend(r.turned_degrees);
         // The answer to a wish comes ten refreshes later.
         if i >= 10 {
-            v.source.answer(i as u32 - 9, ms((i - 10) * 16), true);
+            v.source.answer(i as u32 - 9, ms((i - 10) * 16));
         }
     }
     assert_eq!(v.source.asked.len(), 20);
@@ -203,7 +203,7 @@ fn the_picture_has_the_present_camera_whatever_the_frame() {
     // How far frames in blocks are turned is told to the server, of exact ones not.
     assert_eq!(v.source.turned(), None);
     v.source.in_blocks = true;
-    v.source.answer(12, ms(11 * 16), true);
+    v.source.answer(12, ms(11 * 16));
     let r = v.refresh(ms(21 * 16), at(21.0), PICTURE, &BOUNDS);
     assert!(r.turned_degrees > Some(8.0) && v.source.turned() == Some(10), "{r:?}");
     // A rest is told before anything is asked for because of it.
@@ -215,18 +215,20 @@ fn the_picture_has_the_present_camera_whatever_the_frame() {
 fn at_rest_the_standing_goes_from_moving_over_refining_to_exact() {
     let mut v = viewing();
     assert_eq!(v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS).standing, Standing::Waiting);
-    v.source.answer(1, ms(0), true);
+    v.source.answer(1, ms(0));
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     assert_eq!(v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
     assert_eq!(v.refresh(ms(160), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
     assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
     // The second wish was for where the camera seemed to go; the third is for where it stopped.
     assert!(v.source.asked[1].0 != at(5.0));
-    v.source.answer(2, ms(20), true);
+    v.source.answer(2, ms(20));
     assert_eq!(v.refresh(ms(175), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
-    v.source.answer(3, ms(160), false);
+    v.source.in_blocks = true;
+    v.source.answer(3, ms(160));
     assert_eq!(v.refresh(ms(180), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
-    v.source.answer(3, ms(160), true);
+    v.source.in_blocks = false;
+    v.source.answer(3, ms(160));
     let r = v.refresh(ms(190), at(5.0), PICTURE, &BOUNDS);
     assert_eq!(r.standing, Standing::Exact);
     assert_eq!(r.frame_age, Some(Duration::ZERO));
@@ -248,7 +250,7 @@ fn a_moving_camera_asks_for_where_it_will_be_and_a_resting_one_for_where_it_is()
             // The server makes a frame for every wish, which is there ten refreshes later.
             let wish = v.source.asked.len().min(i.saturating_sub(8) as usize);
             if i >= 9 && v.source.frame.as_ref().is_none_or(|f| f.frame.header.frame.0 < wish as u32) {
-                v.source.answer(wish as u32, ms((wish as u64 - 1) * 16), true);
+                v.source.answer(wish as u32, ms((wish as u64 - 1) * 16));
             }
         }
         (v, turned, last.unwrap())
@@ -279,20 +281,20 @@ fn a_frame_in_blocks_is_waited_behind_for_the_exact_one() {
     };
     v.source.in_blocks = true;
     refresh(&mut v, 0);
-    v.source.answer(1, ms(10), true);
+    v.source.answer(1, ms(10));
     assert_eq!(refresh(&mut v, 20), (Standing::Refining, false, 1));
     v.source.in_blocks = false;
-    v.source.answer(1, ms(100), true);
+    v.source.answer(1, ms(100));
     // Now a margin is asked for; as long as that comes in blocks, the picture stays exact.
     assert_eq!(refresh(&mut v, 110), (Standing::Exact, true, 2));
     v.source.in_blocks = true;
-    v.source.answer(2, ms(200), true);
+    v.source.answer(2, ms(200));
     assert_eq!(refresh(&mut v, 210), (Standing::Exact, true, 2));
     // A server that leaves it at blocks.
     let mut v = Viewing::new(FakeSource::default(), FrameSize::default(), foresight);
     refresh(&mut v, 0);
     v.source.in_blocks = true;
-    v.source.answer(1, ms(10), true);
+    v.source.answer(1, ms(10));
     assert_eq!(refresh(&mut v, 20), (Standing::Refining, false, 1));
     assert_eq!(refresh(&mut v, 2000), (Standing::Settled, false, 2));
 }
@@ -306,15 +308,17 @@ fn zoomed_in_the_own_frame_comes_first_and_then_one_with_a_margin() {
     let picture = Intrinsics::perspective(320, 200, 0.7);
     v.refresh(ms(0), near(0.0), picture, &BOUNDS);
     assert_eq!(v.source.asked, [(near(0.0), picture)]);
-    v.source.answer(1, ms(0), true);
+    v.source.answer(1, ms(0));
     assert_eq!(v.refresh(ms(10), near(0.0), picture, &BOUNDS).standing, Standing::Exact);
     let wide = v.source.asked[1].1;
     assert_eq!((v.source.asked[1].0, wide.margin_around(&picture)), (near(0.0), Some(48)));
-    // As long as the wide frame is not complete, the picture stays what it is.
-    v.source.answer(2, ms(10), false);
+    // As long as the wide frame is not exact, the picture stays what it is.
+    v.source.in_blocks = true;
+    v.source.answer(2, ms(10));
     let r = v.refresh(ms(20), near(0.0), picture, &BOUNDS);
     assert_eq!((r.standing, r.frame.unwrap().frame.header.camera.intrinsics), (Standing::Exact, picture));
-    v.source.answer(2, ms(10), true);
+    v.source.in_blocks = false;
+    v.source.answer(2, ms(10));
     let r = v.refresh(ms(30), near(0.0), picture, &BOUNDS);
     assert_eq!((r.standing, r.frame.unwrap().frame.header.camera.intrinsics), (Standing::Exact, wide));
     v.refresh(ms(999), near(0.0), picture, &BOUNDS);
@@ -326,7 +330,7 @@ fn zoomed_in_the_own_frame_comes_first_and_then_one_with_a_margin() {
     v.refresh(ms(1050), near(0.2), picture, &BOUNDS);
     assert_eq!(v.source.asked[4], (near(0.2), picture));
     // A new look begins with the bare frame, too.
-    v.source.answer(5, ms(1050), true);
+    v.source.answer(5, ms(1050));
     v.refresh(ms(1300), near(0.2), picture, &BOUNDS);
     assert!(v.source.asked[5].1 != picture);
     v.source.put_look(7, look("bone"));
@@ -343,7 +347,7 @@ fn a_frame_that_was_shown_comes_in_for_what_the_newest_does_not_see() {
         for (i, azimuth) in [0.0, 0.6].into_iter().enumerate() {
             let at = ms(1000 * i as u64);
             v.refresh(at, near(azimuth), PICTURE, &BOUNDS);
-            v.source.answer(i as u32 + 1, at, true);
+            v.source.answer(i as u32 + 1, at);
             let r = v.refresh(at + ms(500), near(azimuth), PICTURE, &BOUNDS);
             assert!(r.standing == Standing::Exact && r.kept.is_empty());
         }
@@ -360,7 +364,7 @@ fn a_frame_of_another_size_settles_but_is_never_exact() {
         Viewing::new(FakeSource::default(), FrameSize { scale: 0.5, ..Default::default() }, Foresight::NONE);
     v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.asked[0].1, Intrinsics::perspective(30, 20, 0.7));
-    v.source.answer(1, ms(0), true);
+    v.source.answer(1, ms(0));
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Settled);
 }
 
@@ -369,19 +373,19 @@ fn while_the_camera_moves_frames_are_as_small_as_the_budget_wants() {
     let size = FrameSize { moving_budget: Some(ms(150)), ..Default::default() };
     let mut v = Viewing::new(FakeSource::default(), size, Foresight::NONE);
     v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS);
-    v.source.answer(1, ms(1), true);
+    v.source.answer(1, ms(1));
     v.source.stats.server = ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     // A quarter of the lists costs 147.5 ms.
     let half = Intrinsics::perspective(30, 20, 0.7);
     v.refresh(ms(20), at(5.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.asked[1], (at(5.0), half));
-    v.source.answer(2, ms(20), true);
+    v.source.answer(2, ms(20));
     assert_eq!(v.refresh(ms(30), at(5.0), PICTURE, &BOUNDS).standing, Standing::Moving);
     // At rest the full size is asked for, once, and then shown as exact.
     assert_eq!(v.refresh(ms(171), at(5.0), PICTURE, &BOUNDS).standing, Standing::Refining);
     assert_eq!(v.source.asked[2], (at(5.0), PICTURE));
-    v.source.answer(3, ms(171), true);
+    v.source.answer(3, ms(171));
     assert_eq!(v.refresh(ms(180), at(5.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     assert_eq!(v.refresh(ms(999), at(5.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     assert_eq!(v.source.asked.len(), 3);
@@ -396,7 +400,7 @@ fn a_look_that_is_on_its_way_is_not_exact() {
     let mut v = viewing();
     v.source.put_look(1, look("bone"));
     v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
-    v.source.answer(1, ms(0), true);
+    v.source.answer(1, ms(0));
     assert_eq!(v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     v.set_look(ms(20), look("skin"));
     assert_eq!(v.look(), Some(Arc::new(look("skin"))));
@@ -404,7 +408,7 @@ fn a_look_that_is_on_its_way_is_not_exact() {
     assert_eq!(v.refresh(ms(30), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
     v.source.put_look(2, look("skin"));
     assert_eq!(v.refresh(ms(40), at(0.0), PICTURE, &BOUNDS).standing, Standing::Refining);
-    v.source.answer(1, ms(0), true);
+    v.source.answer(1, ms(0));
     assert_eq!(v.refresh(ms(50), at(0.0), PICTURE, &BOUNDS).standing, Standing::Exact);
     // A wish that no server can grant is none.
     v.set_look(ms(60), Look { k: 0, ..look("no such thing") });
@@ -417,7 +421,7 @@ fn while_a_look_is_edited_the_picture_says_that_it_is_older() {
     let mut v = viewing();
     v.source.put_look(1, look("0"));
     v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
-    v.source.answer(1, ms(0), true);
+    v.source.answer(1, ms(0));
     assert_eq!(v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS).older_look_since, None);
     for i in 1..=125u64 {
         v.set_look(ms(i * 8), look(&i.to_string()));
@@ -428,7 +432,7 @@ fn while_a_look_is_edited_the_picture_says_that_it_is_older() {
     // Granted, but the frame is still of the look before; then it is there.
     v.source.put_look(2, look("125"));
     assert_eq!(v.refresh(ms(1100), at(0.0), PICTURE, &BOUNDS).older_look_since, Some(ms(8)));
-    v.source.answer(1, ms(0), true);
+    v.source.answer(1, ms(0));
     let refresh = v.refresh(ms(1200), at(0.0), PICTURE, &BOUNDS);
     assert_eq!((refresh.older_look_since, refresh.standing), (None, Standing::Exact));
 }
@@ -439,7 +443,7 @@ fn a_look_being_edited_is_seen_in_small_frames() {
     let mut v = Viewing::new(FakeSource::default(), size, Foresight::NONE);
     v.source.put_look(1, look("bone"));
     v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS);
-    v.source.answer(1, ms(1), true);
+    v.source.answer(1, ms(1));
     v.source.stats.server = ServerStats { frame: FrameId(1), generate_micros: 590_000, ..Default::default() };
     v.refresh(ms(100), at(0.0), PICTURE, &BOUNDS);
     let num_asked = v.source.asked.len();
@@ -468,7 +472,7 @@ fn a_refresh_knows_whether_anything_changed_and_tells_of_new_frames_once() {
     let mut v = viewing();
     assert!(v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS).changed);
     assert!(!v.refresh(ms(1), at(0.0), PICTURE, &BOUNDS).changed);
-    v.source.answer(1, ms(0), false);
+    v.source.answer(1, ms(0));
     assert!(v.refresh(ms(2), at(0.0), PICTURE, &BOUNDS).changed);
     assert!(!v.refresh(ms(3), at(0.0), PICTURE, &BOUNDS).changed);
     assert_eq!(v.source.shown, [FrameId(1)]);
@@ -479,7 +483,7 @@ fn another_volume_is_asked_for_at_once_and_the_one_before_stays_as_it_was_until_
     let mut viewing = Viewing::new(FakeSource::default(), FrameSize::default(), Foresight::NONE);
     viewing.source.put_look(1, look("first"));
     viewing.refresh(ms(0), at(10.0), PICTURE, &BOUNDS);
-    viewing.source.answer(1, ms(0), true);
+    viewing.source.answer(1, ms(0));
     let before = viewing.refresh(ms(500), at(10.0), PICTURE, &BOUNDS);
     assert_eq!((before.bounds, before.camera.pose), (BOUNDS, at(10.0)));
 
@@ -494,7 +498,7 @@ fn another_volume_is_asked_for_at_once_and_the_one_before_stays_as_it_was_until_
     assert!((meanwhile.camera.pose.eye - before.camera.pose.eye).length() < 1e-5, "the picture stays");
     assert!(meanwhile.standing != Standing::Exact && meanwhile.older_look_since.is_some());
     let number = viewing.source.asked.len() as u32;
-    viewing.source.answer(number, ms(510), true);
+    viewing.source.answer(number, ms(510));
     let after = viewing.refresh(ms(900), far, PICTURE, &large);
     assert_eq!((after.bounds, after.camera.pose), (large, far));
     assert!(after.older_look_since.is_none());
@@ -509,7 +513,7 @@ fn a_cut_is_no_older_look_but_anything_else_is() {
     };
     v.source.put_look(3, clipped(0.5));
     v.refresh(ms(10), at(0.0), PICTURE, &BOUNDS);
-    v.source.answer(1, ms(10), true);
+    v.source.answer(1, ms(10));
     let refresh = |v: &mut Viewing<FakeSource>, time| v.refresh(ms(time), at(0.0), PICTURE, &BOUNDS);
     assert_eq!(refresh(&mut v, 20).older_look_since, None);
     // Smaller: cut here, at once, and not settled before the server has it.

@@ -1,4 +1,4 @@
-//! The decoded blocks of a band: what the client shows, and what later frames are predicted from.
+//! The decoded blocks of a band. The client shows them, and later frames are predicted from them.
 
 use super::model::{BLOCK, BLOCK_LISTS, BandPlace, DepthPlane, MAX_LAYERS, lists_of};
 use super::scales::whole;
@@ -9,16 +9,16 @@ pub(super) type Planes = (DepthPlane, DepthPlane);
 /// Rows of blocks.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Band {
-    /// Blocks to a row.
+    /// Number of blocks in a row.
     pub(super) across: usize,
-    /// One after the other, row by row.
+    /// All blocks, row by row.
     pub(super) blocks: Vec<Block>,
-    /// Layers of the blocks.
+    /// Depth planes of the blocks' layers.
     pub(super) planes: Vec<Planes>,
-    /// Those of them that have cells, block by block and front to back.
+    /// The layers that have cells, block by block and front to back.
     layers: Vec<CellLayer>,
-    /// Of each of these, for its rows that have cells: the fronts of all lists, their backs, codes of u, Y, Co and Cg. Lists
-    /// without a cell have zeros.
+    /// For each of these layers, its rows of lists that have cells: the fronts of all lists, then backs, codes of u,
+    /// Y, Co and Cg. Lists without a cell have zeros.
     cells: Vec<u16>,
     num_cells: usize,
     num_with_matter: usize,
@@ -29,7 +29,7 @@ pub(super) struct Band {
 pub(super) struct Block {
     first_plane: u32,
     num_planes: u8,
-    /// Of those with cells.
+    /// Number of its layers with cells.
     num_layers: u8,
     first_layer: u32,
 }
@@ -39,19 +39,19 @@ pub(super) struct Block {
 pub(super) struct CellLayer {
     /// The lists with a cell.
     pub(super) mask: u64,
-    /// Where the first cell begins and the last one ends.
+    /// The least front and the greatest back of its cells.
     pub(super) front: u16,
     pub(super) back: u16,
-    /// Place in the band's `cells`, in rows.
+    /// Index in the band's `cells`, in rows.
     first_row: u32,
 }
 
-/// The cells of a layer, the parts of a block's lists in it, as they are decoded: front and back in depth units, the code of
-/// u, from 1 on, and Y, Co, Cg in units of 1/8192, which have signs. A list without a cell has zeros.
+/// The decoded cells of a layer. A cell is the part of a list in a layer: front and back in depth units, the code of
+/// u from 1 on, and Y, Co, Cg, signed, in units of 1/8192. A list without a cell has zeros.
 pub(super) type CellPlanes = [[u16; BLOCK_LISTS]; NUM_PLANES];
 
 impl Band {
-    /// Memory that its contents are counted as, on both sides alike.
+    /// Size in bytes by the count that sender and receiver share.
     pub(super) fn num_bytes(&self) -> usize {
         BYTES_OF_BLOCK * self.blocks.len()
             + BYTES_OF_LAYER * self.planes.len()
@@ -59,7 +59,7 @@ impl Band {
             + BYTES_OF_CELL * self.num_cells
     }
 
-    /// A band without blocks yet, with memory for so many and about so many cells.
+    /// A band without blocks, with memory for those of `place` and for about `num_cells` cells.
     pub(super) fn new(place: BandPlace, num_cells: usize) -> Self {
         let num_blocks = place.across * place.num_rows;
         Self {
@@ -67,13 +67,13 @@ impl Band {
             blocks: Vec::with_capacity(num_blocks),
             planes: Vec::with_capacity(num_cells / BLOCK_LISTS),
             layers: Vec::with_capacity(num_cells / BLOCK_LISTS),
-            // Some lists of a row have none.
+            // Some lists of a row have no cell.
             cells: Vec::with_capacity(num_cells / 6 * WORDS_OF_ROW),
             ..Self::default()
         }
     }
 
-    /// Layers of block `block`, as indices of `planes`.
+    /// The layers of a block, as indices of `planes`.
     pub(super) fn layers(&self, block: usize) -> std::ops::Range<usize> {
         let Block { first_plane, num_planes, .. } = self.blocks[block];
         first_plane as usize..first_plane as usize + usize::from(num_planes)
@@ -84,17 +84,17 @@ impl Band {
         self.blocks[block].num_layers > 0
     }
 
-    /// Cells of all blocks.
+    /// Number of cells in all blocks.
     pub(super) fn num_cells(&self) -> usize {
         self.num_cells
     }
 
-    /// Rows with cells of all layers.
+    /// Number of rows with cells in all layers.
     pub(super) fn num_rows(&self) -> usize {
         self.cells.len() / WORDS_OF_ROW
     }
 
-    /// Those layers of a block that have cells.
+    /// The layers of a block that have cells.
     fn filled(&self, block: usize) -> std::ops::Range<usize> {
         let Block { first_layer, num_layers, .. } = self.blocks[block];
         first_layer as usize..first_layer as usize + usize::from(num_layers)
@@ -105,7 +105,7 @@ impl Band {
         CellsOf { layers: &self.layers[self.filled(block)], cells: &self.cells }
     }
 
-    /// Changes the cells of a block, layer by layer. Nothing stays nothing.
+    /// Changes the cells of a block, layer by layer. Lists without a cell keep their zeros.
     pub(super) fn change(&mut self, block: usize, mut change: impl FnMut(&mut CellPlanes)) {
         for layer in &self.layers[self.filled(block)] {
             let own = &mut self.cells[layer.words()];
@@ -120,7 +120,7 @@ impl Band {
         }
     }
 
-    /// Appends a block that is one of another band.
+    /// Appends a copy of a block of another band.
     pub(super) fn copy(&mut self, other: &Band, block: usize) {
         let (first_plane, first_layer) = (self.planes.len(), self.layers.len());
         self.planes.extend_from_slice(&other.planes[other.layers(block)]);
@@ -131,7 +131,7 @@ impl Band {
         self.push_block(first_plane, first_layer);
     }
 
-    /// Appends a block, whose planes are those from `first_plane` on.
+    /// Appends a block with the planes from `first_plane` on.
     pub(super) fn push(&mut self, first_plane: usize, lists: &mut OpenBlock) {
         let first_layer = self.layers.len();
         for (mask, cells) in &mut lists.layers[..lists.num_layers] {
@@ -162,7 +162,7 @@ impl Band {
 }
 
 wide! {
-    /// Sets to zero what lists outside of the mask have. Returns where the first cell begins and the last one ends.
+    /// Sets lists outside of the mask to zero. Returns the least front and the greatest back.
     fn clean(cells: &mut CellPlanes, mask: u64) -> (u16, u16) = clean_any;
 }
 
@@ -185,7 +185,7 @@ fn clean_any(cells: &mut CellPlanes, mask: u64) -> (u16, u16) {
 }
 
 impl CellLayer {
-    /// The first bit of each row of lists that has a cell.
+    /// A mask with the first bit of each row of lists that has a cell.
     #[inline(always)]
     fn rows(&self) -> u64 {
         let halves = self.mask | self.mask >> 4;
@@ -193,14 +193,14 @@ impl CellLayer {
         (quarters | quarters >> 1) & FIRST_OF_ROWS
     }
 
-    /// Its own words in the band's `cells`.
+    /// The range of its words in the band's `cells`.
     #[inline(always)]
     fn words(&self) -> std::ops::Range<usize> {
         let first = self.first_row as usize;
         first * WORDS_OF_ROW..(first + self.rows().count_ones() as usize) * WORDS_OF_ROW
     }
 
-    /// The cells, from the layer's own words.
+    /// Spreads the layer's words to cells of all lists.
     #[inline(always)]
     fn spread(&self, own: &[u16]) -> CellPlanes {
         let mut cells = NO_CELLS;
@@ -233,28 +233,28 @@ impl CellLayer {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellsOf<'a> {
     pub(super) layers: &'a [CellLayer],
-    /// Of all the band.
+    /// Words of the whole band.
     cells: &'a [u16],
 }
 
 impl<'a> CellsOf<'a> {
-    /// The lists that have cells.
+    /// Mask of the lists that have cells.
     pub(super) fn mask(&self) -> u64 {
         self.layers.iter().fold(0, |mask, layer| mask | layer.mask)
     }
 
-    /// To look at the cells of each layer. `spread` is scratch memory.
+    /// Starts a walk over the layers. `spread` is scratch memory.
     #[inline(always)]
     pub(super) fn walk(self, spread: &'a mut CellPlanes) -> LayerWalk<'a> {
         LayerWalk { layers: self.layers.iter(), cells: self.cells, spread }
     }
 }
 
-/// Goes from layer to layer of a block.
+/// A walk over the layers of a block.
 pub(super) struct LayerWalk<'a> {
     layers: std::slice::Iter<'a, CellLayer>,
     cells: &'a [u16],
-    /// The cells of a layer that has none in some row.
+    /// Memory for the cells of a layer that lacks some rows.
     spread: &'a mut CellPlanes,
 }
 
@@ -265,7 +265,7 @@ impl LayerWalk<'_> {
         self.next_of(|_| true)
     }
 
-    /// The next layer that is wanted.
+    /// The next layer for which `wants` holds.
     #[inline(always)]
     pub(super) fn next_of(
         &mut self,
@@ -281,16 +281,16 @@ impl LayerWalk<'_> {
     }
 }
 
-/// The layers of the block that is being coded.
+/// The layers of the block in progress.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct OpenBlock {
-    /// With the lists that have a cell. What others have means nothing.
+    /// Cells with the mask of their lists. Values of other lists mean nothing.
     layers: Box<[(u64, CellPlanes); MAX_LAYERS]>,
     num_layers: usize,
-    /// Where the last cell of each list ends; 0 for none.
+    /// Back of the last cell of each list; 0 for none.
     last: [f32; BLOCK_LISTS],
-    /// Transmittance of what is there.
+    /// Transmittance of each list so far.
     pub(super) kappa: [f32; BLOCK_LISTS],
 }
 
@@ -312,8 +312,8 @@ impl OpenBlock {
         self.kappa = [1.0; BLOCK_LISTS];
     }
 
-    /// Appends a cell to each list of the mask, between the planes as far as they leave room behind the cell before: it
-    /// begins where that one ends at the earliest, and is at least [`LEAST_LENGTH`] long.
+    /// Appends a cell to each list of the mask, between the planes. It begins no earlier than the previous cell ends,
+    /// and is at least [`LEAST_LENGTH`] long. A list without room gets none.
     pub(super) fn push(
         &mut self,
         planes: &Planes,
@@ -336,7 +336,7 @@ impl OpenBlock {
 }
 
 wide! {
-    /// Places the cells of a layer behind the `last` of each list. Returns which lists get theirs.
+    /// Places the cells of a layer behind the `last` back of each list. Returns the mask of lists that get one.
     fn place(
         cells: &mut CellPlanes,
         planes: &Planes,
@@ -361,7 +361,7 @@ fn place_any(
         let front = whole(lesser(greater(planes.0.at(i), last[i]), MAX_FRONT) + 0.5);
         let after = front as i32 as f32;
         let back = whole(lesser(greater(planes.1.at(i), after + LEAST_LENGTH), MAX_BACK) + 0.5);
-        // The cell before may end so deep that none fits behind it.
+        // The previous cell may end so deep that none fits behind it.
         fits[i] = (mask >> i & 1 == 1) & (back > front) & (after >= last[i]);
         cells[0][i] = front as u16;
         cells[1][i] = back as u16;
@@ -371,7 +371,7 @@ fn place_any(
     fits.iter().enumerate().fold(0, |mask, (i, fits)| mask | u64::from(*fits) << i)
 }
 
-/// As the machine has it: without a thought for NaN.
+/// Uses the processor's instruction, which ignores NaN.
 #[inline(always)]
 pub(super) fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
@@ -382,18 +382,18 @@ pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The first list of each row of a block.
+/// Mask of the first list of each row of a block.
 const FIRST_OF_ROWS: u64 = u64::from_ne_bytes([1; 8]);
-/// Words of a list's cell, and of a row of these.
+/// Number of words of a cell, and of a row of cells.
 const NUM_PLANES: usize = 6;
 pub(super) const NO_CELLS: CellPlanes = [[0; BLOCK_LISTS]; NUM_PLANES];
 const WORDS_OF_ROW: usize = NUM_PLANES * BLOCK;
-/// What the parts of a band are counted as, in bytes, whatever memory they take.
+/// Sizes by which sender and receiver count the parts of a band, bytes.
 const BYTES_OF_BLOCK: usize = 16;
 const BYTES_OF_LAYER: usize = 24;
 const BYTES_OF_MATTER: usize = 128;
 const BYTES_OF_CELL: usize = 12;
-/// Depth units that a cell has at least.
+/// Least length of a cell, depth units.
 const LEAST_LENGTH: f32 = 16.0;
 const MAX_FRONT: f32 = 65500.0;
 const MAX_BACK: f32 = 65535.0;

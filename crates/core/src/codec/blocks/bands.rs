@@ -1,12 +1,12 @@
-//! Bands of rows of blocks, such that each takes about as long to code.
+//! Divides rows of blocks into bands that each take about the same time to code.
 
 use super::super::bands::Borders;
 use super::super::limits::MAX_CHUNK_SEGMENTS;
 use super::model::{BLOCK, BLOCK_LISTS, blocks_along};
 use crate::layer::LayeredFrame;
 
-/// Where the bands of a frame end, in rows of blocks. Bands are equally high where one would have more blocks than a chunk
-/// may correct.
+/// Where the bands of a frame end, in rows of blocks. If a band would have more blocks than a chunk may correct, all
+/// bands are equally high.
 pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Borders {
     let intrinsics = frame.header.camera.intrinsics;
     let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
@@ -35,7 +35,8 @@ pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Borders {
     }
 }
 
-/// About how long a block takes whose longest list has so many segments: time goes by its layers, which are not many more.
+/// Estimated work for a block whose longest list has `longest` segments. Time is proportional to its layers, which
+/// are not many more.
 fn work_of(longest: u32) -> usize {
     match longest {
         0 => 0,

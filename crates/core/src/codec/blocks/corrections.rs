@@ -1,5 +1,5 @@
-//! The correction of the picture at the frame's own pose. What the decoded layers composite to is off by the sum of
-//! many small errors; one more plane a block removes most of it.
+//! Corrects the picture at the frame's own pose. The composite of decoded layers has the sum of many small errors.
+//! One more plane for each block removes most of it.
 
 use super::super::error::{CodecError, at_most};
 use super::super::limits::MAX_CHUNK_SEGMENTS;
@@ -18,14 +18,14 @@ use super::transform::BlockPlane;
 /// Differences of the roots of a picture's red, green and blue.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Corrections {
-    /// Place in `planes` for each block of a band; [`NONE`] for none.
+    /// Index in `planes` for each block of a band; [`NONE`] for none.
     places: Vec<u32>,
     /// Y, Co, Cg in units of 1/8192.
     planes: Vec<[[i16; BLOCK_LISTS]; 3]>,
 }
 
-/// Codes the corrections of a band. `source` gives those of a block and which lists have matter; it is asked in the
-/// order of blocks, and by an encoder only.
+/// Codes the corrections of a band. `source` writes those of a block and returns the mask of lists with matter. Only
+/// an encoder calls it, block by block.
 pub(super) fn code<C: Coder>(
     mut coder: C,
     steps: &StepSizes,
@@ -87,7 +87,7 @@ pub(super) fn code<C: Coder>(
 }
 
 wide! {
-    /// The roots of red, green and blue that the lists of a block composite to, into `found`.
+    /// Writes the roots of red, green and blue that the lists of a block composite to, into `found`.
     pub(super) fn composite_roots(of: CellsOf<'_>, found: &mut [BlockPlane; 3]) = composite_roots_any;
 }
 
@@ -105,7 +105,7 @@ fn composite_roots_any(of: CellsOf<'_>, found: &mut [BlockPlane; 3]) {
     let mut spread = NO_CELLS;
     let mut walk = of.walk(&mut spread);
     while let Some((_, [_, _, u, y, co, cg])) = walk.next() {
-        // That of a list without a cell is 0.
+        // A list without a cell has α = 0.
         let mut alpha = [0.0; BLOCK_LISTS];
         for (alpha, code) in alpha.iter_mut().zip(u) {
             *alpha = scales.alpha[usize::from(*code)];
@@ -124,7 +124,7 @@ fn composite_roots_any(of: CellsOf<'_>, found: &mut [BlockPlane; 3]) {
     }
 }
 
-/// By the same factor in all cells of a list. Nothing stays nothing.
+/// The factor is the same in all cells of a list. Lists without a cell keep their zeros.
 #[inline(always)]
 fn multiply_any([_, _, _, y, co, cg]: &mut CellPlanes, [of_r, of_g, of_b]: &[BlockPlane; 3]) {
     for i in 0..BLOCK_LISTS {
@@ -132,7 +132,7 @@ fn multiply_any([_, _, _, y, co, cg]: &mut CellPlanes, [of_r, of_g, of_b]: &[Blo
         let [r, g, b] = roots(own);
         let changed = [(r * of_r[i]).min(MAX_ROOT), (g * of_g[i]).min(MAX_ROOT), (b * of_b[i]).min(MAX_ROOT)];
         let changed = ycc_from_roots(changed).map(fixed_from_f32);
-        // What is right stays as it is, to the bit.
+        // A list with factors of 1 stays the same to the bit.
         let is_right = (of_r[i] == 1.0) & (of_g[i] == 1.0) & (of_b[i] == 1.0);
         y[i] = if is_right { own[0] } else { changed[0] } as u16;
         co[i] = if is_right { own[1] } else { changed[1] } as u16;
@@ -148,9 +148,9 @@ struct PictureRow {
 #[derive(Clone)]
 #[repr(align(64))]
 struct CorrectedBlock {
-    /// The lists with matter; none of a block without corrections.
+    /// Mask of the lists with matter; 0 for a block without corrections.
     mask: u64,
-    /// What the lists composite to, and what they shall.
+    /// What the lists composite to, and what they should.
     found: [BlockPlane; 3],
     wanted: [BlockPlane; 3],
 }
@@ -161,7 +161,7 @@ impl PictureRow {
         Self { blocks: vec![CorrectedBlock { mask: 0, found: [NOTHING; 3], wanted: [NOTHING; 3] }; across] }
     }
 
-    /// Smooths the borders within this row, then those to the one above.
+    /// Smooths the borders within this row, then those to the row above.
     fn smooth_below(&mut self, above: &mut Self, steps: &[f32; 3]) {
         for x in 1..self.blocks.len() {
             if let [first, second] = &mut self.blocks[x - 1..=x] {
@@ -173,7 +173,7 @@ impl PictureRow {
         }
     }
 
-    /// Multiplies the colours of a row's lists so that they composite to what they shall.
+    /// Multiplies the colours of a row's lists so that they composite to what they should.
     fn apply(&self, band: &mut Band, first_block: usize) {
         for (x, CorrectedBlock { mask, found, wanted }) in self.blocks.iter().enumerate() {
             if *mask == 0 {
@@ -189,9 +189,8 @@ impl PictureRow {
 }
 
 impl Corrections {
-    /// Changes the colours of a band's cells so that every list composites to what it should, by the same factor in all
-    /// cells of a list. `steps` are those of Y, Co, Cg of the corrections:
-    /// borders between corrected blocks are smoothed by them.
+    /// Multiplies the colours of a band's cells so that every list composites to what it should. `steps` are those of
+    /// the corrections' Y, Co and Cg, by which borders between corrected blocks are smoothed.
     pub(super) fn apply(&self, band: &mut Band, steps: [f32; 3]) {
         if self.planes.is_empty() {
             return;
@@ -208,7 +207,7 @@ impl Corrections {
                 }
             }
             own.smooth_below(&mut above, &steps);
-            // Nothing comes to it any more.
+            // Nothing changes the row above any more.
             if y > 0 {
                 above.apply(band, (y - 1) * across);
             }
@@ -220,7 +219,7 @@ impl Corrections {
 }
 
 impl CorrectedBlock {
-    /// With what the cells of a block composite to too little.
+    /// Sets what the cells of a block composite to, and what they should: that plus the differences.
     fn set(&mut self, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
         composite_roots(cells, &mut self.found);
         self.mask = cells.mask();
@@ -241,10 +240,10 @@ fn smooth_between(border: Border, first: &mut CorrectedBlock, second: &mut Corre
     }
 }
 
-/// A list that is off by more than this factor, on the scale of roots, has lost a cell; the rest shall not make up for
-/// it, since they would be seen from another pose.
+/// A list whose root is off by more than this factor has lost a cell. The others must not make up for it, because
+/// they would look wrong from another pose.
 const MAX_FACTOR: f32 = 2.0;
-/// Least colour of a list.
+/// Least colour of a list before its root is taken.
 const LEAST: f32 = 1e-5;
 const NONE: u32 = u32::MAX;
 

@@ -1,4 +1,4 @@
-//! Decoding the chunks of a frame in blocks.
+//! Decodes the chunks of a frame in blocks.
 
 use std::cmp::Reverse;
 use std::sync::Arc;
@@ -17,14 +17,14 @@ use super::model::MAX_LAYERS;
 use super::motion::CameraMotion;
 use super::reference::{Reference, References};
 
-/// Decodes all chunks of a frame, in their order.
+/// Decodes all chunks of a frame, in order of index.
 pub(in crate::codec) fn decode(
     chunks: &[(ChunkHeader, &[u8])],
     references: &References,
 ) -> Result<Reference, CodecError> {
     let mut longest_first: Vec<_> = chunks.iter().collect();
     longest_first.sort_by_key(|(_, bytes)| Reverse(bytes.len()));
-    // One at a time for each thread: no thread is left with a long one at the end.
+    // Each thread takes one at a time, so no thread has a long one left at the end.
     let bands = longest_first.into_iter().par_bridge().map(|(header, bytes)| {
         let (head, band) = decode_band(header, bytes, references)?;
         Ok((header, head, Arc::new(band)))
@@ -64,7 +64,7 @@ fn decode_band(
         None => None,
     };
     let motion = reference.map(|r| (&**r, CameraMotion::new(&header.frame.camera, &r.header.camera)));
-    // About as many cells as a band of the reference has, but no more than so few bytes may be for.
+    // Memory for about as many cells as a band of the reference has, but bounded by the number of bytes.
     let num_cells =
         reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(coded.len() * CELLS_PER_BYTE));
     let place = head.place(header);
@@ -84,5 +84,5 @@ fn decode_band(
     Ok((head, band))
 }
 
-/// More than a byte of a predicted frame is for.
+/// Upper bound on the cells of a predicted frame for each byte.
 const CELLS_PER_BYTE: usize = 64;

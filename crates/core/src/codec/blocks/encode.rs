@@ -1,4 +1,4 @@
-//! Encoding: choosing layers for the lists of a band, and coding them.
+//! Encodes: it chooses layers for the lists of a band, and codes them.
 
 use std::sync::Arc;
 
@@ -24,10 +24,10 @@ use super::transform::BlockPlane;
 use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame};
 
-/// Encodes a frame, which must be valid ([`LayeredFrame::validate`]); if a reference is given, which the receiver must
-/// have, predicted from it. Bands are encoded in parallel. Returns what a receiver will have as a reference, too.
+/// Encodes a valid frame ([`LayeredFrame::validate`]), bands in parallel. The frame is predicted from the reference,
+/// if given. The receiver must have that reference. Also returns the reference that a receiver will have.
 ///
-/// Lists may grow or shrink: the header says that they have at most [`MAX_LAYERS`] segments.
+/// Lists may get more or fewer segments. The header allows [`MAX_LAYERS`].
 ///
 /// # Errors
 /// On frames and bands above the limits of the codec.
@@ -39,7 +39,7 @@ pub fn encode(
     encode_while(frame, settings, reference, ALWAYS)
 }
 
-/// The same; ends early with [`CodecError::Abandoned`] when the frame is no longer wanted.
+/// The same, but it stops with [`CodecError::Abandoned`] when the frame is no longer wanted.
 pub(in crate::codec) fn encode_while(
     frame: &LayeredFrame,
     settings: &Settings,
@@ -54,8 +54,8 @@ pub(in crate::codec) fn encode_while(
     let borders = bands::borders(frame, num_bands);
     let head = Head { steps, reference: reference.map(Reference::frame), borders };
     let motion = reference.map(|r| (r, CameraMotion::new(&camera, &r.header.camera)));
-    // From both ends, so that a thread with two neighbours in this order has one from the border and one from the middle:
-    // what either takes longer than was thought evens out.
+    // Bands are ordered from both ends. So a thread with two neighbours in this order has one from the border and one
+    // from the middle, and wrong estimates of their time even out.
     let num = usize::from(num_bands);
     let from_both_ends = |n: usize| if n.is_multiple_of(2) { n / 2 } else { num - 1 - n / 2 };
     let bands = (0..num).into_par_iter().with_max_len(1).map(|n| {
@@ -78,9 +78,9 @@ pub(in crate::codec) fn encode_while(
 /// An encoded band.
 struct EncodedBand {
     bytes: Vec<u8>,
-    /// What a decoder makes of them.
+    /// The decoded band.
     decoded: Band,
-    /// How well its planes suit, for the next frame.
+    /// How well its planes fit, for the next frame.
     notes: Notes,
 }
 
@@ -102,7 +102,7 @@ fn band(
     if decoded.num_cells() > 0 {
         let BlockPlanner { goals, goal_of, .. } = &planner;
         let source = |block: usize, planes: &mut [BlockPlane; 3]| {
-            // A block of the reference has its corrections in it.
+            // A block of the reference already contains its corrections.
             let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
             match goals.get(goal_of[block] as usize) {
                 Some(goal) if !is_corrected => miss(goal, decoded.cells_of(block), planes),
@@ -116,14 +116,13 @@ fn band(
     Ok(EncodedBand { bytes: coder.finish(), decoded, notes: planner.notes })
 }
 
-/// Segments of a band.
+/// Number of segments in a band.
 fn segments(frame: &LayeredFrame, place: BandPlace) -> usize {
     let row = |block: usize| (block * BLOCK).min(place.size[1]) * place.size[0];
     (frame.offsets[row(place.first_row + place.num_rows)] - frame.offsets[row(place.first_row)]) as usize
 }
 
-/// By how much the lists of a block composite to too little, as roots, when they should composite to `goal`; and
-/// which have matter.
+/// What the lists of a block lack, as roots, to composite to `goal`. Returns the mask of lists with matter.
 fn miss(goal: &[BlockPlane; 3], cells: CellsOf<'_>, planes: &mut [BlockPlane; 3]) -> u64 {
     composite_roots(cells, planes);
     for i in 0..BLOCK_LISTS {
@@ -135,19 +134,19 @@ fn miss(goal: &[BlockPlane; 3], cells: CellsOf<'_>, planes: &mut [BlockPlane; 3]
     cells.mask()
 }
 
-/// Planes that are coded as a block's own.
+/// A block's own planes, which are coded.
 #[derive(Default)]
 struct PlaneCandidate {
     codes: Vec<(PlaneCode, PlaneCode)>,
-    /// Those that a decoder makes of the codes.
+    /// The planes that a decoder makes of the codes.
     planes: Vec<Planes>,
     error: f32,
-    /// What the layers are worth, in the unit of the error.
+    /// Cost of the layers, in the unit of the error.
     worth: f32,
 }
 
 impl PlaneCandidate {
-    /// Codes the planes that are there, and tries them.
+    /// Codes the present planes and measures their error.
     fn weigh(&mut self, search: &mut LayerSearch, lists: &BlockLists, steps: &StepSizes, per_layer: f32) {
         steps.codes(&self.planes, &mut self.codes);
         steps.planes(&self.codes, &mut self.planes);
@@ -174,12 +173,12 @@ struct BlockPlanner<'a> {
     planes: Vec<Planes>,
     best: Vec<Planes>,
     notes: Notes,
-    /// The roots of red, green and blue that the lists of blocks composite to, and their place for each block;
-    /// [`NO_GOAL`] where there is nothing.
+    /// The roots of red, green and blue that the lists of blocks should composite to, and their index for each block;
+    /// [`NO_GOAL`] for an empty block.
     goals: Vec<[BlockPlane; 3]>,
     goal_of: Vec<u32>,
     is_wanted: Wanted<'a>,
-    /// Blocks are empty from now on: nobody waits for the band.
+    /// The band is no longer wanted, so all further blocks are empty.
     is_abandoned: bool,
 }
 
@@ -212,8 +211,9 @@ impl<'a> BlockPlanner<'a> {
         }
     }
 
-    /// Whether the reference, from the same camera and no coarser, shows the block as well as it could be coded. Nor may its
-    /// layers have been worth more: it is made for a lesser turn then, and the picture here does not tell.
+    /// Whether the block of a reference with the same camera is as good as a newly coded one. Its steps must not be
+    /// coarser. Nor may its layers have cost more: then it was made for a smaller turn, which the picture at this
+    /// pose does not show.
     fn is_same(&mut self, x: usize, y: usize) -> bool {
         let Some((reference, motion)) = self.reference else { return false };
         let is_fine =
@@ -246,7 +246,7 @@ impl BlockSource for BlockPlanner<'_> {
 }
 
 impl BlockPlanner<'_> {
-    /// Plans a block. Returns its note, see [`Notes`].
+    /// Plans a block. Returns its note; see [`Notes`].
     fn planned(
         &mut self,
         x: usize,
@@ -277,7 +277,7 @@ impl BlockPlanner<'_> {
         let per_layer = self.cost.error_per_layer();
         let Self { search, lists, own, searched, planes, best, steps, .. } = self;
         let mut kept = f32::INFINITY;
-        // Of a block's own planes here, for each layer in what it is worth.
+        // Error of a block's own planes here, in units of the cost of a layer.
         let mut note = 0.0;
         let (mut is_fitted, mut is_found) = (false, false);
         if offered(Origin::Kept, best) {
@@ -305,7 +305,7 @@ impl BlockPlanner<'_> {
             if !is_fitted || searched.cost() < own.cost() {
                 std::mem::swap(own, searched);
             }
-            // What was known may be of planes that are gone.
+            // The old note may be about planes that are gone.
             note = f32::INFINITY;
         }
         if kept < own.error + KEEP_SHARE * own.worth {
@@ -338,26 +338,26 @@ impl BlockPlanner<'_> {
 }
 
 const NO_GOAL: u32 = u32::MAX;
-/// Part of the step of corrections that a block may be off on average and still be the same.
+/// A copied block may be off by this part of the step of corrections on average.
 const SAME: f32 = 0.75;
-/// What layers were worth may differ by so much from what they are worth.
+/// Allowed ratio of the former cost of a layer to the present one.
 const LIKE_LAMBDA: f32 = 1.01;
-/// Planes of a neighbour are taken if their error is at most so many times that of the block's own, and for each layer so
-/// much of what a layer is worth more.
+/// A neighbour's planes are taken if their error is at most this multiple of the error of the block's own, plus this
+/// part of the layers' cost.
 const SLACK: f32 = 1.15;
 const MERGE_SHARE: f32 = 0.3;
-/// Those of the frame before if their error is at most that of the block's own and so much. More, and errors add up from
-/// frame to frame.
+/// The reference's planes are taken if their error is at most that of the block's own plus this. With more, errors
+/// add up from frame to frame.
 const KEEP_SHARE: f32 = 0.1;
-/// They are taken before any are fitted or looked for if their error is at most what was noted of them and so much.
+/// They are taken without a fit or a search if their error is at most the noted one plus this.
 const AT_ONCE_SHARE: f32 = 0.05;
-/// They are not taken at all if it is so many times what was noted and [`KEEP_SHARE`].
+/// They are not taken at all if their error is this multiple of the noted one plus [`KEEP_SHARE`].
 const HOPELESS: f32 = 4.0;
-/// Planes of the frame before that were fitted to the block need no search if their error is at most what was noted and so
-/// much, over the root of λ: the less a layer is worth, the less a search beside them gains.
+/// Fitted planes of the reference need no search if their error is at most the noted one plus this over the root of
+/// λ. The less a layer costs, the less a search gains.
 const FIT_SHARE: f32 = 0.16;
-/// Otherwise their error and that of the planes found is weighed with so much of what their layers are worth. All of it
-/// would take fewer layers, which is worse at a turn.
+/// Otherwise fitted and found planes are compared by error plus this part of their layers' cost. The whole cost would
+/// favour fewer layers, which look worse at a turn.
 const WORTH_SHARE: f32 = 0.3;
 
 #[cfg(test)]

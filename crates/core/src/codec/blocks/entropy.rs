@@ -1,24 +1,24 @@
-//! Adaptive binary range coding (Martin 1979, in the byte-wise form that LZMA uses), with estimates that move by
-//! 1/(n + 1.5) for the n-th bit seen: a new context learns within a few bits, an old one is steady.
+//! Adaptive binary range coding (Martin 1979, in the byte-wise form of LZMA). Estimates move by 1/(n + 1.5) at the
+//! n-th bit. So a new context learns within a few bits, and an old one is steady.
 //!
-//! What is coded is written once, over [`Coder`]: an encoder takes the values it is given, a decoder ignores them and
-//! returns the ones it reads. So the two cannot disagree on the syntax.
+//! The syntax is written once, over [`Coder`]. An encoder writes the values that it is given; a decoder ignores them
+//! and returns the ones that it reads. So the two cannot disagree.
 
-/// Codes values in one direction.
+/// An encoder or a decoder of values.
 pub(super) trait Coder {
-    /// Whether values go in; otherwise they come out.
+    /// Whether this is an encoder.
     const ENCODES: bool;
 
-    /// A bit with an estimate of its own, which learns from it.
+    /// A bit with an estimate, which learns from it.
     fn bit(&mut self, model: &mut Model, bit: bool) -> bool;
 
     /// `count` equally likely bits, at most 24, highest first.
     fn raw(&mut self, count: u32, value: u32) -> u32;
 
-    /// Whether more was read than there is; an encoder has never.
+    /// Whether a decoder has read beyond the end; never for an encoder.
     fn is_overrun(&self) -> bool;
 
-    /// `count` bits, highest first, each with an estimate for what came before; `models` has 2^`count`.
+    /// `count` bits, highest first. Each has an estimate for the bits before it; `models` has 2^`count`.
     fn tree(&mut self, models: &mut [Model], count: u32, value: u32) -> u32 {
         let mut node = 1;
         for i in (0..count).rev() {
@@ -28,7 +28,7 @@ pub(super) trait Coder {
         node as u32 & ((1 << count) - 1)
     }
 
-    /// How many ones before the first zero, at most one for each model.
+    /// Number of ones before the first zero, at most one for each model.
     fn unary(&mut self, models: &mut [Model], value: u32) -> u32 {
         for (i, model) in models.iter_mut().enumerate() {
             if !self.bit(model, (i as u32) < value) {
@@ -38,8 +38,8 @@ pub(super) trait Coder {
         models.len() as u32
     }
 
-    /// A number up to 2²⁰, small ones shorter: the length of `value` + 1 in bits, then the bits below the highest,
-    /// the first of them with an estimate.
+    /// A number up to 2²⁰: the length of `value` + 1 in bits, and then the bits below the highest. The first of them
+    /// has an estimate. Small numbers take fewer bits.
     fn number(&mut self, models: &mut NumberModels, value: u32) -> u32 {
         let up = value.min(MAX_NUMBER) + 1;
         let length = self.unary(&mut models.length, up.ilog2());
@@ -63,10 +63,10 @@ pub(super) trait Coder {
     }
 }
 
-/// The probability of a one, and how many bits it has learnt from.
+/// The probability of a one, and the number of bits that it has learnt from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Model {
-    /// In units of 2⁻¹⁶.
+    /// Probability in units of 2⁻¹⁶.
     one: u16,
     seen: u16,
 }
@@ -74,12 +74,12 @@ pub(super) struct Model {
 impl Model {
     pub(super) const START: Self = Self { one: 1 << 15, seen: 0 };
 
-    /// As if it had learnt from `seen` bits.
+    /// An estimate that counts as learnt from `seen` bits.
     pub(super) const fn trained(one: u16, seen: u16) -> Self {
         Self { one, seen }
     }
 
-    /// In units of 2⁻¹⁵, away from 0 and 1.
+    /// Probability in units of 2⁻¹⁵, away from 0 and 1.
     fn probability(self) -> u32 {
         (u32::from(self.one) >> 1).clamp(LEAST, (1 << PROBABILITY_BITS) - LEAST)
     }
@@ -94,7 +94,7 @@ impl Model {
 
 /// Models in a fixed order.
 pub(super) trait Models {
-    /// Sets each.
+    /// Sets each model.
     fn set(&mut self, next: &mut dyn FnMut() -> Model);
 }
 
@@ -110,7 +110,7 @@ impl<M: Models, const N: usize> Models for [M; N] {
     }
 }
 
-/// Of [`Coder::number`].
+/// The models of [`Coder::number`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NumberModels {
     length: [Model; NUMBER_BITS],
@@ -129,7 +129,7 @@ impl Models for NumberModels {
     }
 }
 
-/// Of [`Coder::signed`].
+/// The models of [`Coder::signed`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SignedModels {
     is_not_zero: Model,
@@ -150,12 +150,12 @@ impl Models for SignedModels {
     }
 }
 
-/// Writes.
+/// The encoder.
 #[derive(Debug)]
 pub(super) struct Encoder {
     low: u64,
     range: u32,
-    /// The last byte a carry can change, and how many bytes it and the 0xff after it are.
+    /// The last byte that a carry can change. With the 0xff bytes after it, there are `num_held` bytes.
     held: u8,
     num_held: u32,
     bytes: Vec<u8>,
@@ -166,12 +166,12 @@ impl Encoder {
         Self { low: 0, range: u32::MAX, held: 0, num_held: 1, bytes: Vec::new() }
     }
 
-    /// All bytes.
+    /// Returns all bytes.
     pub(super) fn finish(mut self) -> Vec<u8> {
         for _ in 0..5 {
             self.shift();
         }
-        // What was held before the first byte: always 0.
+        // The byte held before the first one is always 0.
         self.bytes.remove(0);
         self.bytes
     }
@@ -229,7 +229,7 @@ impl Coder for Encoder {
     }
 }
 
-/// Reads. Past the end of its bytes it reads zeros.
+/// The decoder. It reads zeros beyond the end of its bytes.
 #[derive(Debug)]
 pub(super) struct Decoder<'a> {
     code: u32,
@@ -297,14 +297,14 @@ impl Coder for Decoder<'_> {
 }
 
 impl Decoder<'_> {
-    /// Whether exactly the bytes of one encoder were read.
+    /// Whether exactly the bytes of an encoder were read.
     pub(super) fn is_at_end(&self) -> bool {
         self.at == self.bytes.len()
     }
 }
 
 const PROBABILITY_BITS: u32 = 15;
-/// Least probability of either bit, in units of 2⁻¹⁵: 0.002 bits for the likely one.
+/// Least probability of either bit, in units of 2⁻¹⁵. The likely one then takes 0.002 bits.
 const LEAST: u32 = 24;
 /// Steps of an estimate in units of 2⁻¹⁴: 1/(n + 1.5).
 const RATES: [i32; MAX_SEEN] = {
@@ -317,7 +317,7 @@ const RATES: [i32; MAX_SEEN] = {
     rates
 };
 const RATE_BITS: u32 = 14;
-/// Bits after which an estimate moves by no less: long enough to be steady, short enough to follow the picture.
+/// After this number of bits, the steps of an estimate stay the same. It is steady but follows the picture.
 const MAX_SEEN: usize = 80;
 const NUMBER_BITS: usize = 20;
 const MAX_NUMBER: u32 = (1 << NUMBER_BITS) - 2;

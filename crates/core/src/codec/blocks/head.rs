@@ -28,7 +28,7 @@ impl Head {
         bytes
     }
 
-    /// Takes it from the front of a payload.
+    /// Reads it from the start of a payload.
     pub(super) fn read(bytes: &mut &[u8], header: &ChunkHeader) -> Result<Self, CodecError> {
         let damaged = |problem: String| CodecError::Payload { plane: "head", problem };
         let Some((fixed, rest)) = bytes.split_first_chunk::<HEAD_BYTES>() else {
@@ -44,13 +44,13 @@ impl Head {
         Ok(Self { steps, reference, borders })
     }
 
-    /// Where band `band` of the frame lies.
+    /// The place of the chunk's band in the frame.
     pub(super) fn place(&self, header: &ChunkHeader) -> BandPlace {
         place(self.borders, &header.frame, header.index.0.into())
     }
 }
 
-/// Where a band of a frame lies.
+/// The place of a band in a frame.
 pub(super) fn place(borders: Borders, frame: &crate::layer::FrameHeader, band: usize) -> BandPlace {
     let intrinsics = frame.camera.intrinsics;
     let rows = borders.rows(band, blocks_along(intrinsics.height));
@@ -62,7 +62,7 @@ pub(super) fn place(borders: Borders, frame: &crate::layer::FrameHeader, band: u
     }
 }
 
-/// The frame that the fixed part of a head names.
+/// The reference that the fixed part of a head names.
 fn named(&[is_predicted, a, b, c, d, ..]: &[u8; HEAD_BYTES]) -> Result<Option<FrameId>, CodecError> {
     match (is_predicted, FrameId(u32::from_le_bytes([a, b, c, d]))) {
         (0, FrameId(0)) => Ok(None),
@@ -75,10 +75,10 @@ fn named(&[is_predicted, a, b, c, d, ..]: &[u8; HEAD_BYTES]) -> Result<Option<Fr
     }
 }
 
-/// The frame that a chunk in blocks says it is predicted from, if the bytes are such a chunk.
+/// The reference that a chunk in blocks names. `None` for other bytes.
 pub fn reference_named(bytes: &[u8]) -> Option<FrameId> {
     named(bytes.get(HEADER_BYTES..)?.first_chunk()?).ok()?
 }
 
-/// Bytes of [`Head`] without borders.
+/// Size of [`Head`] without borders, bytes.
 pub(super) const HEAD_BYTES: usize = 5 + STEPS_BYTES;

@@ -1,15 +1,15 @@
-//! The coding in blocks: 8×8 lists share their depth planes, so that opacity and colour of a layer are small planes that a
+//! The coding in blocks. 8×8 lists share their depth planes, so opacity and colour of a layer are small planes that a
 //! transform can code.
 //!
-//! The server finds a block's layers (`layer_search`, `encode`). Their depth planes are coded in steps or taken from a
-//! neighbour or, moved, from the reference (`coding`, `motion`, `reference`). Opacity and colour of a layer are 8×8
-//! planes on the scales of `scales`, predicted and transformed (`residual`) and coded in adaptive bits (`syntax`,
-//! `entropy`). A last plane a block corrects the picture at the frame's own pose (`corrections`); its borders between
-//! blocks are smoothed (`smooth`). The encoder works with what a decoder will have (closed loop).
+//! The server finds a block's layers (`layer_search`, `encode`). Their depth planes are coded in steps, or taken from
+//! a neighbour, or moved from the reference (`coding`, `motion`, `reference`). Opacity and colour of a layer are 8×8
+//! planes (`scales`). They are predicted and transformed (`residual`) and coded in adaptive bits (`syntax`,
+//! `entropy`). The last plane of a block corrects the picture at the frame's own pose (`corrections`). Borders
+//! between blocks are smoothed (`smooth`). The encoder works with what a decoder will have (closed loop).
 //!
-//! The one rule that makes every machine decode alike: what a decoder computes is integers, tables made of sums,
-//! products, quotients and square roots, or single and double precision operations in the order written. No
-//! function of a mathematics library takes part.
+//! One rule makes every machine decode alike. A decoder computes with integers, with tables made of sums, products,
+//! quotients and square roots, and with single and double precision operations in the order written. It calls no
+//! function of a mathematics library.
 //!
 //! A file or folder uses only those above it:
 //!

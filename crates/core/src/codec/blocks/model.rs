@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 
-/// Lists along a side of a block.
+/// Number of lists along a side of a block.
 pub(super) const BLOCK: usize = 8;
-/// Lists of a block.
+/// Number of lists in a block.
 pub(super) const BLOCK_LISTS: usize = BLOCK * BLOCK;
 /// Most layers of a block.
 pub(super) const MAX_LAYERS: usize = 24;
@@ -18,8 +18,7 @@ pub(super) fn lists_of(mut mask: u64) -> impl Iterator<Item = usize> {
     })
 }
 
-/// A plane of depth over a block, in depth units: `z` at the middle of the block, (3.5, 3.5) lists from its first,
-/// and its growth for each list rightwards and downwards.
+/// A depth plane over a block, in depth units. The middle of the block is (3.5, 3.5) lists from its first list.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct DepthPlane {
     /// Depth at the middle of the block.
@@ -40,15 +39,15 @@ impl DepthPlane {
     }
 }
 
-/// What the lists of a block have between two depth planes.
+/// Matter of a block's lists between two depth planes.
 #[derive(Clone, Debug, PartialEq)]
 #[repr(align(64))]
 pub(super) struct BlockLayer {
-    /// Where the layer begins.
+    /// Front of the layer.
     pub front: DepthPlane,
-    /// Where it ends.
+    /// Back of the layer.
     pub back: DepthPlane,
-    /// Bit 8y + x: that list has matter here.
+    /// Mask of the lists with matter; list (x, y) has bit 8y + x.
     pub mask: u64,
     /// Optical depth of each list; 0 where it has none.
     pub tau: [f32; BLOCK_LISTS],
@@ -68,20 +67,20 @@ impl Default for BlockLayer {
     }
 }
 
-/// Where a band lies in its frame.
+/// Place of a band in its frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BandPlace {
     /// Blocks to a row.
     pub(super) across: usize,
-    /// The first row of blocks, and how many there are.
+    /// The first row of blocks, and the number of rows.
     pub(super) first_row: usize,
     pub(super) num_rows: usize,
-    /// Columns and rows of lists of the frame.
+    /// Columns and rows of lists in the frame.
     pub(super) size: [usize; 2],
 }
 
 impl BandPlace {
-    /// The lists of a block that are inside of the frame.
+    /// Mask of a block's lists inside the frame.
     pub(super) fn inside(&self, x: usize, y: usize) -> u64 {
         let [columns, rows] = [(x, 0), (y + self.first_row, 1)]
             .map(|(at, axis)| self.size[axis].saturating_sub(at * BLOCK).min(BLOCK));
@@ -90,7 +89,7 @@ impl BandPlace {
     }
 }
 
-/// Blocks along a side of so many lists.
+/// Number of blocks along a side of `side` lists.
 pub(super) fn blocks_along(side: u32) -> usize {
     (side as usize).div_ceil(BLOCK)
 }

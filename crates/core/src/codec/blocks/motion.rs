@@ -1,17 +1,17 @@
-//! Motion compensation: where a point of a frame lies in the picture and depth of another. It follows from the two
-//! cameras alone, so no motion vectors are sent.
+//! Motion compensation: the pixel and depth of a frame's point in another frame. It follows from the two cameras, so
+//! no motion vectors are sent.
 //!
-//! The arithmetic is in double precision, by sums, products and quotients: the same bits on every machine.
+//! The arithmetic is sums, products and quotients in double precision, so all machines compute the same bits.
 
 use super::super::portable_math::tan;
 use crate::camera::{Camera, Projection};
 use crate::layer::DEPTH_UNITS;
 
-/// From a camera to that of a reference.
+/// The motion from a camera to that of a reference.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CameraMotion {
-    /// Homogeneous reference pixel and reference depth of (x, y, 1), times the depth if rays meet in an eye; for each unit
-    /// of depth, if they are parallel; and what is added.
+    /// With p = (x, y, 1) and view depth z, the homogeneous reference pixel and the depth are z·`linear`·p +
+    /// `offset`. For parallel rays they are `linear`·p + z·`along` + `offset`.
     linear: [[f64; 3]; 4],
     along: [f64; 4],
     offset: [f64; 4],
@@ -24,7 +24,7 @@ pub(super) struct CameraMotion {
     pub(super) is_still: bool,
 }
 
-/// How a point moves from the frame to the reference.
+/// Motion of a point from the frame to the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Shift {
     /// Pixels rightwards.
@@ -38,8 +38,8 @@ pub(super) struct Shift {
 impl CameraMotion {
     pub(super) fn new(camera: &Camera, reference: &Camera) -> Self {
         let (from, to) = (Frustum::new(camera), Frustum::new(reference));
-        // Direction of view depth 1 through (x, y): forward + right (2x/w − 1) + up (1 − 2y/h). Of parallel rays, all but
-        // forward is the place of their origin instead.
+        // Direction with view depth 1 through (x, y): forward + right (2x/w − 1) + up (1 − 2y/h). For parallel rays,
+        // all but forward is the place of their origin.
         let [spread, along] = if from.is_parallel { [0.0, 1.0] } else { [1.0, 0.0] };
         let direction: [[f64; 3]; 3] = std::array::from_fn(|axis| {
             [
@@ -65,7 +65,7 @@ impl CameraMotion {
         }
     }
 
-    /// Motion of the point at pixel (`x`, `y`) and depth `z` in units. `None` if the reference does not see it.
+    /// Motion of the point at pixel (`x`, `y`) and depth `z`, depth units. `None` if the reference does not see it.
     pub(super) fn at(&self, x: f32, y: f32, z: f32) -> Option<Shift> {
         let [x, y, z] = [x, y, z].map(f64::from);
         let depth = self.near + z * self.depth_per_unit;
@@ -81,7 +81,7 @@ impl CameraMotion {
     }
 }
 
-/// A camera in double precision; the vectors are as in [`crate::camera::Basis`].
+/// A camera in double precision, with the vectors of [`crate::camera::Basis`].
 struct Frustum {
     eye: [f64; 3],
     forward: [f64; 3],
@@ -117,10 +117,10 @@ impl Frustum {
         }
     }
 
-    /// The rows that give the homogeneous pixel of a vector from the eye, and its view depth; and what each adds.
+    /// The rows that map a vector from the eye to its homogeneous pixel and view depth, and the constants to add.
     fn pixel_rows(&self) -> [([f64; 3], f64); 4] {
         let (x_length, y_length) = (dot(&self.right, &self.right), dot(&self.up, &self.up));
-        // The weight is the view depth or, where rays are parallel, 1.
+        // The weight is the view depth, or 1 for parallel rays.
         let (weight, added) = if self.is_parallel { ([0.0; 3], 1.0) } else { (self.forward, 0.0) };
         let x = [0, 1, 2].map(|i| (weight[i] + self.right[i] / x_length) * 0.5 * self.width);
         let y = [0, 1, 2].map(|i| (weight[i] - self.up[i] / y_length) * 0.5 * self.height);
@@ -136,7 +136,7 @@ fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Nothing moves so far and is still of use: beyond the largest picture and the depth range.
+/// Larger motions are useless: they exceed the largest picture and the depth range.
 const MAX_SHIFT: f64 = 1e6;
 
 #[cfg(test)]

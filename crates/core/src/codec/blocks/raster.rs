@@ -1,6 +1,6 @@
-//! Pictures coded as the planes of a layer are, and smoothed at the borders of blocks as a frame's picture is: with the
-//! same transform, contexts and bits, but without depth, masks or a reference. No frame is sent so; it is how the coding
-//! of planes is compared with image codecs, on planes of theirs.
+//! Codes pictures like the planes of a layer, and smooths the borders of blocks like those of a frame's picture.
+//! Transform, contexts and bits are the same, but there is no depth, mask or reference. No frame is sent in this
+//! form. It serves to compare the coding of planes with image codecs on the same planes.
 
 use super::super::error::CodecError;
 use super::entropy::{Coder, Decoder, Encoder};
@@ -11,26 +11,26 @@ use super::smooth::{Border, smooth};
 use super::syntax::{Contexts, NO_CLASS};
 use super::transform::BlockPlane;
 
-/// What a picture is, and how finely it is coded.
+/// The shape of a picture, and the steps of its coding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockPicture {
     /// Columns and rows.
     pub size: [usize; 2],
-    /// 1, or 3: red, green and blue.
+    /// Number of channels: 1, or 3 for red, green and blue.
     pub channels: usize,
     /// Step of the one channel, or of brightness.
     pub step: f32,
-    /// Steps of colour differences, in steps of brightness.
+    /// Step of colour differences over that of brightness.
     pub chroma: f32,
 }
 
 impl BlockPicture {
-    /// Encodes samples from 0 to 1, row by row, all channels of a pixel together.
+    /// Encodes samples from 0 to 1, row by row, with the channels of a pixel side by side.
     pub fn encode(&self, samples: &[f32]) -> Vec<u8> {
         self.code(Encoder::new(), samples, None).finish()
     }
 
-    /// The samples that were encoded, up to what was lost. A damaged stream gives other samples, or ends too early.
+    /// Decodes the samples, with their coding error. A damaged stream gives other samples or ends too early.
     pub fn decode(&self, bytes: &[u8]) -> Result<Vec<f32>, CodecError> {
         let mut whole = Vec::new();
         if self.code(Decoder::new(bytes), &[], Some(&mut whole)).is_overrun() {
@@ -51,7 +51,7 @@ impl BlockPicture {
         Ok(samples)
     }
 
-    /// Codes the blocks; `whole`, if it is there, gets their components as a decoder has them.
+    /// Codes the blocks. `whole`, if given, gets their decoded components.
     fn code<C: Coder>(
         &self,
         mut coder: C,
@@ -61,7 +61,7 @@ impl BlockPicture {
         let [width, height] = self.size;
         let mut contexts = Contexts::new();
         let across = width.div_ceil(BLOCK);
-        // Mean and class of each component of the blocks so far.
+        // Means and classes of the components of all blocks so far.
         let mut coded: Vec<[(f32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
         let steps = self.steps();
         for block in 0..across * height.div_ceil(BLOCK) {
@@ -127,7 +127,7 @@ impl BlockPicture {
         }
     }
 
-    /// Where the samples of list `i` of a block begin, if it is inside of the picture.
+    /// Index of the first sample of list `i` of a block, if the list is inside the picture.
     fn place(&self, block: usize, i: usize) -> Option<usize> {
         let [width, height] = self.size;
         let across = width.div_ceil(BLOCK);
@@ -135,7 +135,7 @@ impl BlockPicture {
         (x < width && y < height).then_some((y * width + x) * self.channels)
     }
 
-    /// The lists of a block that are inside of the picture.
+    /// Mask of a block's lists inside the picture.
     fn mask(&self, block: usize) -> u64 {
         let across = self.size[0].div_ceil(BLOCK);
         let [columns, rows] = [(0, block % across), (1, block / across)]

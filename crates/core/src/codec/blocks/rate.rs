@@ -1,4 +1,4 @@
-//! Rate control: the quality to ask for, so that a frame has at most so many bytes.
+//! Rate control: finds the quality at which a frame has at most a given number of bytes.
 
 use super::super::chunk::EncodedFrame;
 use super::super::error::CodecError;
@@ -7,45 +7,45 @@ use super::reference::Reference;
 use super::steps::{MAX_QUALITY, Settings};
 use crate::layer::LayeredFrame;
 
-/// Finds the quality of frames that follow each other, so that each has at most so many bytes.
+/// Finds the quality of consecutive frames, so that each has at most a given number of bytes.
 ///
-/// From one frame to the next a picture changes little, so what the last frame took tells what the next one will. Frames
-/// that are predicted and others are kept apart: they differ by a factor.
+/// A picture changes little from frame to frame, so the size of the last frame predicts that of the next one.
+/// Predicted frames and others have separate estimates, because their sizes differ by a factor.
 #[derive(Clone, Copy, Debug)]
 pub struct RateControl {
     target_bytes: f32,
-    /// log₂ of the bytes that a frame would have with quality 0; first of frames that are not predicted.
+    /// log₂ of the bytes that a frame would have at quality 0: first for frames alone, then for predicted ones.
     floor_octaves: [Option<f32>; 2],
 }
 
 impl RateControl {
-    /// Frames shall have at most so many bytes.
+    /// Starts with this limit of bytes for each frame.
     pub fn new(target_bytes: usize) -> Self {
         Self { target_bytes: target_bytes.max(1) as f32, floor_octaves: [None; 2] }
     }
 
-    /// From now on frames shall have at most so many bytes.
+    /// Changes the limit of bytes for each frame.
     pub fn set_target(&mut self, target_bytes: usize) {
         self.target_bytes = target_bytes.max(1) as f32;
     }
 
-    /// The quality for the next frame; a middle one as long as nothing is known.
+    /// The quality for the next frame. It is medium until a frame was seen.
     pub fn quality(&self, is_predicted: bool) -> u8 {
         let Some(floor) = self.floor(is_predicted) else { return MAX_QUALITY / 2 };
         let octaves = (self.target_bytes * AIM).log2() - floor;
         (octaves / OCTAVES_PER_QUALITY).floor().clamp(0.0, f32::from(MAX_QUALITY)) as u8
     }
 
-    /// The bytes that the next frame is expected to have with this quality, if any frame was seen.
+    /// The predicted bytes of the next frame at this quality, if a frame was seen.
     pub fn expected_bytes(&self, is_predicted: bool, quality: u8) -> Option<f32> {
         Some((self.floor(is_predicted)? + f32::from(quality) * OCTAVES_PER_QUALITY).exp2())
     }
 
-    /// Learns what a frame took.
+    /// Learns from the size of a frame.
     pub fn observe(&mut self, is_predicted: bool, quality: u8, bytes: usize) {
         let found = (bytes.max(1) as f32).log2() - f32::from(quality) * OCTAVES_PER_QUALITY;
         let floor = &mut self.floor_octaves[usize::from(is_predicted)];
-        // More bytes than expected are believed at once, fewer by half: one easy frame among hard ones says little.
+        // A larger size counts fully, and a smaller one by half, because one easy frame among hard ones says little.
         let gain = if floor.is_none_or(|known| found > known) { 1.0 } else { 0.5 };
         let known = floor.unwrap_or(found);
         *floor = Some(known + gain * (found - known));
@@ -61,11 +61,11 @@ impl RateControl {
     }
 }
 
-/// The best picture of at most `max_bytes`, by at most [`MAX_ENCODES`] trials: the encoded frame, what a receiver will
-/// have as a reference, and its quality. What `settings` say beside a quality holds for all trials.
+/// Encodes a frame at the best quality within `max_bytes`, in at most [`MAX_ENCODES`] trials. Returns the frame, the
+/// reference that a receiver will have, and the quality. All trials use the other `settings`.
 ///
 /// # Errors
-/// Those of [`encode`], and [`CodecError::TooLarge`] if not even the least quality is found to be so small.
+/// Those of [`encode`], and [`CodecError::TooLarge`] if no trial is small enough.
 pub fn encode_within(
     frame: &LayeredFrame,
     max_bytes: usize,
@@ -74,7 +74,7 @@ pub fn encode_within(
 ) -> Result<(EncodedFrame, Reference, u8), CodecError> {
     let mut control = RateControl::new(max_bytes);
     let mut best = None;
-    // The best quality that fits and the least that does not, with log₂ of their bytes.
+    // The best quality that fits and the least one that does not, with log₂ of their bytes.
     let mut fits = None::<(u8, f32)>;
     let mut exceeds = None::<(u8, f32)>;
     for trial in 0..MAX_ENCODES {
@@ -109,11 +109,12 @@ pub fn encode_within(
     best.ok_or(CodecError::TooLarge { what: "bytes with the least quality", found: least, limit: max_bytes })
 }
 
-/// Trials of [`encode_within`]: the first few come within some steps of the quality, the others do not show.
+/// Most trials of [`encode_within`]. The first few come close to the final quality, and more make no visible
+/// difference.
 pub const MAX_ENCODES: usize = 6;
-/// Part of the bytes that is aimed at, so that frames may grow a little from one to the next.
+/// Target size over the limit, so that frames may grow a little from one to the next.
 const AIM: f32 = 0.92;
-/// Doublings of the bytes for one step of quality: 3.7 from the least to the best.
+/// log₂ of the growth in bytes for one step of quality: 3.7 from the least to the best quality.
 const OCTAVES_PER_QUALITY: f32 = 3.7 / MAX_QUALITY as f32;
-/// Halvings of the bytes by prediction, before any predicted frame was seen.
+/// log₂ of the saving by prediction, before a predicted frame was seen.
 const PREDICTION_OCTAVES: f32 = 0.8;

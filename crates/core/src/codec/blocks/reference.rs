@@ -1,4 +1,4 @@
-//! Reference frames, and the fetching of a layer's prediction from one: content between two depths, at a quarter of a list.
+//! Reference frames. A layer's prediction is fetched from one: its matter between two depths, to a quarter of a list.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,24 +12,23 @@ use super::transform::BlockPlane;
 use crate::ids::FrameId;
 use crate::layer::FrameHeader;
 
-/// A decoded frame as far as predictions need it. What an encoder has noted of it beside that does not count when two are
-/// compared.
+/// A decoded frame as predictions need it. A comparison of two ignores the encoder's notes.
 #[derive(Clone, Debug)]
 pub struct Reference {
     pub(super) header: FrameHeader,
-    /// The steps it was coded with.
+    /// The steps of its coding.
     pub(super) steps: Option<StepSizes>,
     pub(super) bands: Vec<Arc<Band>>,
-    /// Band and row of blocks in it, for each row of blocks.
+    /// For each row of blocks, its band and its row in that band.
     pub(super) rows: Vec<(u8, u32)>,
-    /// What its layers were worth; none of a frame that was decoded.
+    /// λ of its layers; `None` for a decoded frame.
     pub(super) lambda: Option<f32>,
-    /// Band by band, block by block; none of a frame that was decoded.
+    /// Notes for each band; empty for a decoded frame.
     pub(super) notes: Vec<Notes>,
 }
 
-/// For each block of a band the error of its planes as the last search for them left it, for each layer in what a layer is
-/// worth, or less if they came to suit better. 0 where nothing is known.
+/// For each block of a band, the error of its planes after the last search, in units of the cost of a layer. It is
+/// less if the planes fit better since. 0 where nothing is known.
 pub(super) type Notes = Vec<f32>;
 
 impl PartialEq for Reference {
@@ -50,7 +49,7 @@ impl Reference {
         Self { header, steps, bands, rows, lambda: None, notes: Vec::new() }
     }
 
-    /// With what was noted when it was encoded.
+    /// Adds the notes of its encoding.
     pub(super) fn with_notes(self, lambda: f32, notes: Vec<Notes>) -> Self {
         Self { lambda: Some(lambda), notes, ..self }
     }
@@ -60,22 +59,22 @@ impl Reference {
         self.header.frame
     }
 
-    /// What it is counted as, the same for who has encoded it and who has decoded it.
+    /// Its size in bytes, by the count that sender and receiver share.
     fn num_bytes(&self) -> usize {
         self.bands.iter().map(|band| band.num_bytes()).sum()
     }
 
-    /// Cells of all bands.
+    /// Number of cells in all bands.
     pub(super) fn num_cells(&self) -> usize {
         self.bands.iter().map(|band| band.num_cells()).sum()
     }
 
-    /// How many these are, one at least.
+    /// Number of bands, at least 1.
     pub(super) fn num_bands(&self) -> usize {
         self.bands.len().max(1)
     }
 
-    /// The band and the number in it of the block at column `x` and row `y` of blocks.
+    /// The band of the block at column `x` and row `y` of blocks, and its index there.
     pub(super) fn block(&self, x: i32, y: i32) -> Option<(&Band, usize)> {
         let &(band, row) = self.rows.get(usize::try_from(y).ok()?)?;
         let band = &*self.bands[usize::from(band)];
@@ -83,18 +82,18 @@ impl Reference {
         Some((band, row as usize * band.across + x))
     }
 
-    /// What was noted of the block at column `x` and row `y` of blocks; 0 for nothing.
+    /// The note on the block at column `x` and row `y` of blocks; 0 for none.
     pub(super) fn note(&self, [x, y]: [i32; 2]) -> f32 {
         let Some((_, block)) = self.block(x, y) else { return 0.0 };
-        // There is a block, so there is such a row.
+        // The block exists, so its row does.
         let (band, _) = self.rows[y as usize];
         self.notes.get(usize::from(band)).and_then(|notes| notes.get(block)).copied().unwrap_or(0.0)
     }
 
-    /// Column and row of the reference's block that the middle of the block at (`x`, `y`) of a frame moves to; there may be
-    /// no such block.
+    /// Column and row of the reference's block that the middle of the block at (`x`, `y`) of a frame moves to. They
+    /// may lie outside.
     pub(super) fn moved_to(&self, motion: &CameraMotion, x: usize, y: usize) -> Option<[i32; 2]> {
-        // About how deep is the block? As the reference was here, or beside.
+        // The depth of the move is the reference's, here or in a neighbour.
         let (front, _) = [(0, 0), (0, -1), (-1, 0), (1, 0), (0, 1)].into_iter().find_map(|(dx, dy)| {
             let (band, block) = self.block(x as i32 + dx, y as i32 + dy)?;
             band.planes[band.layers(block)].first()
@@ -105,18 +104,18 @@ impl Reference {
     }
 }
 
-/// The last frames that a receiver has decoded, or a sender has sent, for those that name them.
+/// The last frames that a receiver decoded or a sender sent, from which later frames may be predicted.
 #[derive(Clone, Debug, Default)]
 pub struct References {
     newest_last: VecDeque<Arc<Reference>>,
     num_bytes: usize,
-    /// The last frames that were added, also those whose memory is needed for newer ones.
+    /// Ids of the last added frames, including those that gave way to newer ones.
     frames: VecDeque<FrameId>,
 }
 
 impl References {
-    /// Adds one. The oldest give way, beyond [`MAX_REFERENCES`] of them or [`MAX_REFERENCE_BYTES`]; the newest stays. A
-    /// receiver has added no more than its sender, so it still has what that still has.
+    /// Adds a frame. The oldest give way beyond [`MAX_REFERENCES`] frames or [`MAX_REFERENCE_BYTES`]; the newest
+    /// stays. A receiver adds no more frames than its sender, so it keeps every frame that the sender keeps.
     pub fn insert(&mut self, reference: Arc<Reference>) {
         if self.frames.len() == MAX_REFERENCES {
             self.frames.pop_front();
@@ -132,42 +131,42 @@ impl References {
         }
     }
 
-    /// Forgets all.
+    /// Forgets all frames.
     pub fn clear(&mut self) {
         *self = Self::default();
     }
 
-    /// The frame, if it is there.
+    /// The frame with this id, if it is kept.
     pub fn get(&self, frame: FrameId) -> Option<&Arc<Reference>> {
         self.newest_last.iter().rev().find(|r| r.frame() == frame)
     }
 
-    /// What to predict the next frame from, if the last that the receiver is known to have decoded is `decoded`: the
-    /// newest, which will arrive; but where many are on their way, or one may be lost, the one it is known to have, if
-    /// that can be predicted from.
+    /// The reference for the next frame, if `decoded` is the last frame that the receiver has reported. It is the
+    /// newest frame, which will arrive. If too many are on their way, or one may be lost, it is the reported one, if
+    /// that is kept.
     pub fn next(&self, decoded: FrameId) -> Option<&Arc<Reference>> {
         let ahead = self.frames.iter().rev().take_while(|&&frame| frame > decoded).count();
         if ahead <= MAX_AHEAD { self.newest() } else { self.get(decoded) }
     }
 
-    /// The newest.
+    /// The newest frame.
     pub fn newest(&self) -> Option<&Arc<Reference>> {
         self.newest_last.back()
     }
 }
 
-/// What a reference has where a layer is.
+/// The reference's matter in a layer.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct Fetched {
-    /// u, Y, Co, Cg of each list; of those without matter the mean.
+    /// u, Y, Co, Cg of each list. Lists without matter have the mean.
     pub(super) planes: [BlockPlane; 4],
-    /// The lists where there is matter.
+    /// Mask of the lists with matter.
     pub(super) mask: u64,
     scratch: Box<FetchScratch>,
 }
 
-/// Memory to fetch with.
+/// Scratch memory.
 #[derive(Clone, Debug)]
 struct FetchScratch {
     between: DepthRange,
@@ -184,9 +183,9 @@ impl Fetched {
 }
 
 wide! {
-    /// Fetches what the reference has between two planes of the block at (`x`, `y`) of blocks, moved by `shift`: to a
-    /// quarter of a list, between lists by nearness, colours also by opacity. Where it has nothing in any list, the
-    /// planes stay what they were.
+    /// Fetches what the reference has between two planes of the block at (`x`, `y`), moved by `shift` to a quarter of
+    /// a list. Lists are mixed by nearness, and their colours also by opacity. If no list has matter, the planes stay
+    /// the same.
     pub(super) fn fetch(
         fetched: &mut Fetched,
         reference: &Reference,
@@ -219,7 +218,7 @@ fn fetch_any(
     let mut has_any = false;
     let FetchScratch { between, contents, spread } = &mut *fetched.scratch;
     for (by, bx) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-        // The rows and columns of the block that are looked at.
+        // The relevant rows and columns of the block.
         let [ys, xs] = [(by, inner_y, rows), (bx, inner_x, columns)].map(|(n, inner, num)| {
             let inside = |v: usize| v.saturating_sub(n * BLOCK).min(BLOCK);
             inside(inner)..inside(inner + num)
@@ -265,12 +264,12 @@ fn fetch_any(
     let (gx, gy) = (1.0 - fx, 1.0 - fy);
     let taps = [(0, 0, gx * gy), (0, 1, fx * gy), (1, 0, gx * fy), (1, 1, fx * fy)];
     let mut sums = [[0.0; BLOCK_LISTS]; 6];
-    // What has no weight adds zeros.
+    // Lists without weight add zeros.
     for (dy, dx, w) in taps.into_iter().filter(|(.., w)| *w > 0.0) {
         let [weight, sums @ ..] = &mut sums;
         for row in 0..BLOCK {
             let alpha = &found[0][row + dy][inner_x + dx..][..BLOCK];
-            // Where nothing is, all is zero.
+            // Without matter, all values are zero.
             for (sum, alpha) in weight[row * BLOCK..][..BLOCK].iter_mut().zip(alpha) {
                 *sum += if *alpha > 0.0 { w } else { 0.0 };
             }
@@ -315,29 +314,29 @@ fn fetch_any(
     }
 }
 
-/// Between which two depths the lists of a block of the reference are looked at.
+/// The two depths between which the lists of a reference's block are read.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 struct DepthRange {
     low: BlockPlane,
     high: BlockPlane,
-    /// A cell is in front of these depths if it ends at this depth unit or before, and behind if it begins at this one or
-    /// after. All are, of a list that is not looked at.
+    /// For each list, a cell lies in front if it ends at the first of these depth units or before, and behind if it
+    /// begins at the second or after. All cells of an unread list do.
     in_front: [i32; BLOCK_LISTS],
     behind: [i32; BLOCK_LISTS],
-    /// The least and the most of these.
+    /// The least and the greatest of these.
     range: [i32; 2],
-    /// The rows and columns that are looked at. Nothing is said of lists in other rows.
+    /// The rows and columns that are read. Depths of lists in other rows mean nothing.
     ys: std::ops::Range<usize>,
     xs: std::ops::Range<usize>,
 }
 
-/// What the depths of a block's lists follow from.
+/// The inputs for the depths of a block's lists.
 struct DepthQuery {
     planes: (DepthPlane, DepthPlane),
-    /// First column and row of the block, counted from those that are looked at.
+    /// First column and row of the reference's block, relative to the predicted block.
     at: [f32; 2],
-    /// By how much these lie beside lists of the reference, and how much deeper all is there.
+    /// The fraction of a list by which they are shifted, and the shift in depth.
     part: [f32; 2],
     shift: f32,
     least_length: f32,
@@ -375,7 +374,7 @@ impl DepthRange {
             let (dx, dy) = (x as f32 + at[0] - part[0] - MIDDLE, y as f32 + at[1] - part[1] - MIDDLE);
             let low = front.z + front.dx * dx + front.dy * dy + shift;
             let high = (back.z + back.dx * dx + back.dy * dy + shift).max(low + least_length);
-            // No cell ends at 0 or before, and none goes on beyond 65535.
+            // No cell ends at 0 or before, or beyond 65535.
             let units = |depth: f32| whole(lesser(depth, BEYOND_ALL)) as i32;
             let below = units(high);
             let is_looked_at = (x >= first) & (x < last);
@@ -396,12 +395,12 @@ impl DepthRange {
 }
 
 wide! {
-    /// Adds the parts of a layer's cells between the two depths behind what is there: the colour of parts is that of their
-    /// cells, mixed by what of them is seen. Returns whether there are any.
+    /// Adds the parts of a layer's cells between the two depths, behind the present ones. A part has the colour of
+    /// its cell, and counts by its visible opacity. Returns whether there are any.
     fn add(contents: &mut Contents, between: &DepthRange, cells: &CellPlanes) -> bool = Contents::add_any;
 }
 
-/// What the lists of a block have between two depths, composited.
+/// Composite of a block's lists between two depths.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 struct Contents {
@@ -409,7 +408,7 @@ struct Contents {
     values: [BlockPlane; NUM_VALUES],
     tau: BlockPlane,
     kappa: BlockPlane,
-    /// Cells.
+    /// Number of cells.
     count: [u32; BLOCK_LISTS],
 }
 
@@ -448,7 +447,7 @@ impl Contents {
         if num == 0 {
             return false;
         }
-        // No cell has neither optical depth nor opacity.
+        // Every cell has optical depth and opacity.
         let (mut tau, mut alpha) = ([0.0; BLOCK_LISTS], [0.0; BLOCK_LISTS]);
         for i in lists.clone() {
             [tau[i], alpha[i]] = scales.tau_and_alpha(codes[i]);
@@ -478,7 +477,7 @@ impl Contents {
         true
     }
 
-    /// Several cells have u of their optical depth together.
+    /// For several cells, u is that of their total optical depth.
     #[inline(always)]
     fn finish(&mut self, lists: std::ops::Range<usize>) {
         let [_, u, ..] = &mut self.values;
@@ -496,23 +495,23 @@ impl Contents {
     }
 }
 
-/// Frames that are kept: a frame names none that is older.
+/// Most frames that are kept. A frame names no older one.
 pub const MAX_REFERENCES: usize = 32;
-/// What the frames that are kept are counted as, together. A cell counts 12 bytes, so that 1280×720 lists of 4 in the mean count 44 MB,
-/// of which eleven fit, and 1920×1080 lists of 8 200 MB, of which two do. They take a tenth more, and those of layers with few cells
-/// up to seven times as much. Where fewer fit, a frame that is lost costs one without a
+/// Most bytes of kept frames, as counted. A cell counts 12 bytes. So 1280×720 lists of 4 cells on average count 44
+/// MB, and eleven such frames fit. 1920×1080 lists of 8 cells count 200 MB, and two fit. Real memory is a tenth more,
+/// and up to seven times as much for layers with few cells. If only one fits, a lost frame costs a frame without a
 /// reference.
 pub const MAX_REFERENCE_BYTES: usize = 512 << 20;
-/// Frames that may be named although the receiver is not known to have them: at 60 a second those of a round trip of 300 ms and some,
-/// and so the longest that a lost one is missed.
+/// Most frames that may be named before the receiver reports one of them: those of a round trip of 400 ms at 60
+/// frames a second. This is also the longest time for which a lost frame is missed.
 const MAX_AHEAD: usize = 24;
-/// Part of a cell that is taken for all of it.
+/// A larger part of a cell counts as the whole cell.
 const WHOLE: f32 = 0.999;
-/// Depth units beyond all matter.
+/// A depth beyond all matter, depth units.
 const BEYOND_ALL: f32 = 70_000.0;
-/// Opacity, u, Y, Co and Cg.
+/// Number of values: opacity, u, Y, Co and Cg.
 const NUM_VALUES: usize = 5;
-/// Half of a block in lists.
+/// Half of a block's side, lists.
 pub(super) const HALF: f32 = BLOCK as f32 / 2.0;
 const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;
 

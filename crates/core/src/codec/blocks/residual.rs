@@ -1,4 +1,4 @@
-//! A plane of 8×8 values as its prediction and the quantised coefficients of what is left.
+//! Codes a plane of 8×8 values as its prediction and the quantised coefficients of the difference.
 
 use super::entropy::Coder;
 use super::model::{BLOCK, BLOCK_LISTS};
@@ -6,7 +6,7 @@ use super::scales::{fixed_from_f32, whole};
 use super::syntax::{Contexts, Levels};
 use super::transform::{BlockPlane, ZIGZAG, fill_in, forward, inverse};
 
-/// What is expected of a plane.
+/// The prediction of a plane.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Expected<'a> {
     Constant(f32),
@@ -22,8 +22,8 @@ impl Expected<'_> {
     }
 }
 
-/// Codes what a plane differs by from what is expected of it, and writes its values. Returns the class, and by how
-/// much the mean differs.
+/// Codes the difference of a plane from its prediction, and writes the decoded values. Returns the class, and the
+/// difference of the mean.
 #[expect(clippy::too_many_arguments, reason = "two directions in one function")]
 pub(super) fn residual<C: Coder>(
     coder: &mut C,
@@ -67,7 +67,7 @@ pub(super) fn residual<C: Coder>(
 }
 
 wide! {
-    /// Colours as they are kept, within a range.
+    /// Colours as stored numbers, clamped to a range.
     pub(super) fn fixed_of(values: &BlockPlane, range: [f32; 2], fixed: &mut [i16; BLOCK_LISTS])
         = fixed_of_any;
 }
@@ -114,16 +114,16 @@ fn quantize_any(coefficients: &BlockPlane, step: f32, rounding: [f32; 2], levels
     levels.length = length as usize;
 }
 
-/// More than any coefficient has steps.
+/// Greater than any coefficient in steps.
 const MAX_SIZE: f32 = (1 << 20) as f32;
-/// What is added to constant and other coefficients before levels are cut off. Larger dead zones cost more of the picture than they
-/// save.
+/// Added to the constant and to other coefficients before rounding down. Larger dead zones cost more of the picture
+/// than they save.
 const ROUNDING: [f32; 2] = [0.5, 0.45];
-/// After a moved reference, which has errors of about half a step itself, they save more than they cost. Measured along
-/// orbits, .4 and .3 takes 1 % more for the same picture, .3 and .2 as much.
+/// A moved reference has errors of about half a step, so larger dead zones save more than they cost. Along orbits, .4
+/// and .3 take 1 % more bytes for the same picture; .3 and .2 take as many.
 const INTER_ROUNDING: [f32; 2] = [0.35, 0.25];
-/// Components from here on are predicted from a reference, but for the last.
+/// Components from here on are predicted from a reference, except the last.
 const FIRST_INTER: usize = 4;
 const CORRECTION: usize = 7;
-/// How much nearer to zero than its level a coefficient is on average.
+/// Distance by which a coefficient is closer to zero than its level on average, steps.
 const TOWARDS_ZERO: f32 = 0.05;

@@ -1,11 +1,10 @@
-//! The scales that the opacity and the colour of a cell, the part of a list in a layer, are coded on.
+//! The scales of a cell's opacity and colour. A cell is the part of a list in a layer.
 //!
-//! Opacity: u = g(τ) = ½√(1 − e^−τ) + ln(1 + τ)/10, which is fine where little opacity is and still tells apart what
-//! is nearly opaque, since a turned camera sees parts of a cell. A decoded u is one of [`CODES`] codes; everything that
-//! depends on τ is looked up by the code. Colour: the square roots of C/α, turned into a brightness Y and two
-//! differences Co, Cg.
+//! Opacity: u = g(τ) = ½√(1 − e^−τ) + ln(1 + τ)/10. It is fine for little opacity, and still separates what is nearly
+//! opaque, because a turned camera sees parts of a cell. A decoded u is one of [`CODES`] codes, and tables give all
+//! that depends on τ. Colour: the square roots of C/α, transformed to a brightness Y and two differences Co, Cg.
 //!
-//! The tables are made from sums, products, quotients and square roots in double precision, and so are the same on
+//! The tables are made of sums, products, quotients and square roots in double precision, so they are the same on
 //! every machine.
 
 use std::sync::LazyLock;
@@ -21,15 +20,15 @@ pub(super) struct Scales {
     pub(super) alpha: Box<[f32]>,
     /// Optical depth τ, a half float, positive from code 1 on, and α.
     tau_and_alpha: Box<[FloatPair; CODES as usize]>,
-    /// u of optical depths that are [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on, and by how much the next is
-    /// more. As long as a power of two, so that a masked place is within.
+    /// u of optical depths, [`PER_OCTAVE`] an octave from 2^[`LEAST_OCTAVE`] on, and the difference to the next. The
+    /// length is a power of two, so a masked index is never outside.
     u_at: Box<[FloatPair; PLACES]>,
-    /// Codes to a unit of u, and back.
+    /// Codes for a unit of u, and the inverse.
     codes_per_u: f32,
     u_per_code: f32,
 }
 
-/// Two numbers that are looked up at once, as one word.
+/// Two numbers in one word, so that one lookup gives both.
 #[derive(Clone, Copy)]
 struct FloatPair(u64);
 
@@ -44,7 +43,7 @@ impl FloatPair {
     }
 }
 
-/// The only one.
+/// The only instance.
 pub(super) fn scales() -> &'static Scales {
     static SCALES: LazyLock<Scales> = LazyLock::new(Scales::new);
     &SCALES
@@ -68,7 +67,7 @@ impl Scales {
             .map(|code| {
                 let u = u_max * f64::from(code) / f64::from(CODES - 1);
                 let tau = if code == 0 { 0.0 } else { tau_from_u(u) };
-                // The least codes stand for less than the least half float.
+                // The lowest codes would stand for less than the least half float.
                 let half = pack_halves(tau as f32, 0.0) as u16;
                 if code == 0 { 0 } else { half.max(1) }
             })
@@ -133,20 +132,21 @@ pub(super) fn roots_from_ycc([y, co, cg]: [f32; 3]) -> [f32; 3] {
     [rest + co, y + cg, rest - co]
 }
 
-/// The roots of red, green and blue of a cell, within what colours can be.
+/// The roots of red, green and blue of a cell, clamped to possible colours.
 #[inline(always)]
 pub(super) fn roots(ycc: [i16; 3]) -> [f32; 3] {
     roots_from_ycc(ycc.map(f32_from_fixed)).map(|r| r.clamp(0.0, MAX_ROOT))
 }
 
-/// A colour difference or brightness as it is kept.
+/// A colour difference or brightness as a stored number.
 #[inline(always)]
 pub(super) fn fixed_from_f32(x: f32) -> i16 {
     let size = whole((x * FIXED_ONE).abs() + 0.5) as i16;
     if x < 0.0 { -size } else { size }
 }
 
-/// The whole part of a number below 2²², by what vector instructions of every machine have; 0 for those below 0.
+/// The integer part of a number below 2²², and 0 for a negative one. Vector instructions of every machine can do
+/// this.
 #[inline(always)]
 pub(super) fn whole(x: f32) -> u32 {
     let x = if x > 0.0 { x } else { 0.0 };
@@ -165,7 +165,7 @@ fn u_from_tau(tau: f64) -> f64 {
     0.5 * (1.0 - exp_neg(tau as f32)).max(0.0).sqrt() + 0.1 * ln(1.0 + tau)
 }
 
-/// By halving the interval, to less than half a half float's last bit.
+/// Finds it by bisection, to less than half of a half float's last bit.
 fn tau_from_u(u: f64) -> f64 {
     let (mut low, mut high) = (0.0, f64::from(TAU_MAX));
     for _ in 0..48 {
@@ -179,19 +179,19 @@ fn tau_from_u(u: f64) -> f64 {
     high
 }
 
-/// 2^n by its bits.
+/// 2^n, made from its bits.
 fn power_of_two(n: i32) -> f64 {
     f64::from_bits(((n + 1023) as u64) << 52)
 }
 
-/// Greatest root of a colour: shading can lift one above 1.
+/// Greatest root of a colour. Shading can lift one above 1.
 pub(super) const MAX_ROOT: f32 = 1.2;
-/// 2²³: what is added to it has no fraction.
+/// 2²³: a sum with it has no fraction.
 const ROUNDER: f32 = ROUNDER_ONE as f32;
 const ROUNDER_ONE: u32 = 1 << 23;
-/// Codes of u.
+/// Number of codes of u.
 pub(super) const CODES: u16 = 4096;
-/// Colours are kept in units of 1/8192.
+/// Colours are stored in units of 1/8192.
 const FIXED_ONE: f32 = 8192.0;
 const PER_OCTAVE: usize = 1 << (23 - REST_BITS);
 const REST_BITS: u32 = 17;

@@ -1,26 +1,27 @@
-//! The deblocking filter: it makes steps at borders between blocks smaller, if they are within the step size of the
-//! coding. It moves two samples on either side by a bounded amount (docs/PROTOCOL.md, "Corrections"; docs/MATH.md,
-//! "Borders"). At the frame's own pose it saves 3 % of the bytes for the same DSSIM (bonsai, engine, t1_head, shells).
+//! The deblocking filter. It makes jumps at borders between blocks smaller if they are within the step size of the
+//! coding. It moves two samples on either side by a bounded amount (docs/PROTOCOL.md, "Smoothing"; docs/MATH.md,
+//! "Borders"). At the frame's own pose it saves 3 % of the bytes for the same DSSIM (bonsai, engine, t1_head,
+//! shells).
 
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::scales::{roots_from_ycc, ycc_from_roots};
 use super::transform::{BlockPlane, Line8};
 
-/// Samples of every line across a border, the last three of the one block and the first three of the other.
+/// Samples of all lines across a border: the last three of the first block and the first three of the second.
 type Across = [Line8; NEAR];
 
-/// Which two blocks a border is between.
+/// The position of two blocks at a border.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Border {
-    /// One and that to the right of it.
+    /// A block and its right neighbour.
     Beside,
-    /// One and that below it.
+    /// A block and its lower neighbour.
     Below,
 }
 
 impl Border {
-    /// The lines across the border, one bit each from the lowest, of which all samples that are looked at are in the masks of
-    /// both blocks.
+    /// The lines across the border whose samples all lie in the masks of the blocks. Each line has one bit, from the
+    /// lowest.
     pub(super) fn lines(self, first: u64, second: u64) -> u8 {
         let last = BLOCK - 1;
         match self {
@@ -46,7 +47,7 @@ impl Border {
         })
     }
 
-    /// Moves the two samples on either side.
+    /// Adds the moves to the two samples on either side.
     #[inline(always)]
     fn add(self, first: &mut BlockPlane, second: &mut BlockPlane, across: &Across, moves: &[Line8; 4]) {
         let moved = |n: usize| -> Line8 { std::array::from_fn(|i| across[n + 1][i] + moves[n][i]) };
@@ -56,7 +57,7 @@ impl Border {
         self.set_line(second, 1, &moved(3));
     }
 
-    /// Samples that are `away` from the near end of a block, counted across the border.
+    /// The samples of a plane at index `away` across the border.
     #[inline(always)]
     fn line(self, plane: &BlockPlane, away: usize) -> Line8 {
         match self {
@@ -75,13 +76,13 @@ impl Border {
 }
 
 wide! {
-    /// Smooths `lines` of a border in each of some planes, which were coded in these steps.
+    /// Smooths `lines` of a border in several planes. `steps` are those of their coding.
     pub(super) fn smooth(border: Border, first: &mut [BlockPlane], second: &mut [BlockPlane], lines: u8, steps: &[f32])
         = smooth_any;
 }
 
 wide! {
-    /// The same in planes of roots of red, green and blue, of which Y, Co, Cg were coded in these steps.
+    /// The same in planes of roots of red, green and blue. `steps` are those of Y, Co and Cg.
     pub(super) fn smooth_roots(
         border: Border,
         first: &mut [BlockPlane; 3],
@@ -129,7 +130,7 @@ fn smooth_roots_any(
     }
 }
 
-/// By how much the four samples next to the border move, in each line; 0 where it stays as it is.
+/// Moves of the four samples next to the border in each line; 0 where the line is not smoothed.
 #[inline(always)]
 fn moves([p2, p1, p0, q0, q1, q2]: &Across, lines: u8, step: f32) -> [Line8; 4] {
     let (most, bend, far) = (MOST * step, BEND * step, FAR * step);
@@ -148,7 +149,7 @@ fn moves([p2, p1, p0, q0, q1, q2]: &Across, lines: u8, step: f32) -> [Line8; 4] 
     moves
 }
 
-/// As the machine has it: without a thought for NaN.
+/// Uses the processor's instruction, which ignores NaN.
 #[inline(always)]
 fn within(x: f32, most: f32) -> f32 {
     let x = if x < most { x } else { most };
@@ -156,10 +157,10 @@ fn within(x: f32, most: f32) -> f32 {
 }
 
 const NEAR: usize = 6;
-/// What a sample at a border moves by at most, in steps: weighed from .06 to .3 (docs/BENCHMARKS.md, "Borders").
+/// Greatest move of a sample at a border, steps: the best of .06 to .3 (docs/BENCHMARKS.md, "Borders").
 const MOST: f32 = 0.12;
-/// How much both sides may bend together, and how far they may differ (of which 3/8 are looked at where both are flat), in
-/// steps: beyond, something is to be seen there.
+/// Greatest bend of both sides together, and greatest jump, steps. The jump counts by 3/8 if both sides are flat.
+/// Beyond these limits, the jump belongs to the picture.
 const BEND: f32 = 2.0;
 const FAR: f32 = 1.8;
 const _: () = assert!(BLOCK == 8 && BLOCK_LISTS == 64);

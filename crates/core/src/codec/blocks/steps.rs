@@ -1,4 +1,4 @@
-//! Quality: from one number to the steps that a chunk carries, and to what a layer is worth.
+//! Turns a quality into the steps that a chunk states, and into the cost of a layer.
 
 use super::model::BLOCK_LISTS;
 use crate::camera::Camera;
@@ -9,39 +9,39 @@ use crate::layer::DEPTH_UNITS;
 pub struct Settings {
     /// 0 to [`MAX_QUALITY`].
     pub quality: u8,
-    /// The turn that the frame is made to be seen at: degrees between its camera and the one that it is shown from, at
-    /// most [`MAX_TURN_DEG`]. The less, the more of the bytes go to the picture at the frame's own pose, and the fewer to
-    /// depths. None where it is not known: fit for all turns.
+    /// The turn that the frame is made for: the angle between its camera and the displaying one, degrees, at most
+    /// [`MAX_TURN_DEG`]. With a smaller turn, more bytes go to the picture at the frame's own pose and fewer to
+    /// depths. `None` suits all turns.
     pub turn_deg: Option<u8>,
-    /// Most bands, each of which a thread encodes or decodes. More cost some percent of the bytes: headers, and estimates
-    /// that start anew.
+    /// Most bands; a thread codes each. More bands cost some per cent more bytes for headers and for estimates that
+    /// start anew.
     pub max_bands: u8,
 }
 
 impl Settings {
-    /// Of a quality, for all turns and for up to four threads.
+    /// Settings of a quality, for all turns and for up to four threads.
     pub const fn of(quality: u8) -> Self {
         Self { quality, turn_deg: None, max_bands: 4 }
     }
 }
 
-/// What a layer is worth: when two layers become one.
+/// The cost of a layer, which decides when two layers become one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LayerCost {
-    /// The mean move of a list's matter, in pixels^(5/4), that is accepted to be rid of a layer.
+    /// The mean move of a list's matter that removing a layer may cause, pixels^(5/4).
     pub(super) lambda: f32,
-    /// Depth units that are as long as a pixel of the frame is wide, in the middle between near and far.
+    /// Length of a pixel's width in depth units, in the middle between near and far.
     pub(super) units_per_pixel: f32,
 }
 
 impl LayerCost {
-    /// The error that a block may have for a layer less, in the unit of `LayerSearch::error`.
+    /// The error that removing a layer of a block may add, in the unit of `LayerSearch::error`.
     pub(super) fn error_per_layer(&self) -> f32 {
         self.lambda * self.units_per_pixel * self.units_per_pixel.sqrt().sqrt() * BLOCK_LISTS as f32
     }
 }
 
-/// Depth units that are as long as a pixel is wide, in the middle between near and far.
+/// Length of a pixel's width in depth units, in the middle between near and far.
 fn units_per_pixel(camera: &Camera) -> f32 {
     let units_per_world = DEPTH_UNITS / (camera.far - camera.near);
     let middle = 0.5 * (camera.far + camera.near);
@@ -49,23 +49,23 @@ fn units_per_pixel(camera: &Camera) -> f32 {
     2.0 * half_height / camera.intrinsics.height as f32 * units_per_world
 }
 
-/// The steps that values are quantised in, as a decoder needs them.
+/// The steps of quantised values, as a decoder needs them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct StepSizes {
-    /// Depth units.
+    /// Step of depths, depth units.
     pub(super) depth: f32,
-    /// Of u.
+    /// Step of u.
     pub(super) opacity: f32,
-    /// Of Y, where all of it is seen.
+    /// Step of Y where it is fully visible.
     pub(super) color: f32,
-    /// Of Y in the correction of the picture.
+    /// Step of Y in the correction of the picture.
     pub(super) picture: f32,
-    /// Co and Cg are quantised in so many times the step of Y.
+    /// Step of Co and Cg over that of Y.
     pub(super) chroma: f32,
 }
 
 impl StepSizes {
-    /// Of Y, Co, Cg in the correction of the picture.
+    /// Steps of Y, Co and Cg in the correction of the picture.
     pub(super) fn of_picture(&self) -> [f32; 3] {
         [self.picture, self.picture * self.chroma, self.picture * self.chroma]
     }
@@ -98,7 +98,7 @@ impl StepSizes {
     }
 }
 
-/// The cost of layers and the steps for a quality from 0 to [`MAX_QUALITY`] and a turn, of a frame that `is_predicted` or alone.
+/// The cost of layers and the steps for these settings, of a frame that `is_predicted` or stands alone.
 pub(super) fn from_settings(
     settings: &Settings,
     is_predicted: bool,
@@ -114,7 +114,7 @@ pub(super) fn from_settings(
         f32::from(settings.quality.min(MAX_QUALITY)) * (FAMILY.len() - 1) as f32 / f32::from(MAX_QUALITY);
     let row = (at as usize).min(FAMILY.len() - 2);
     let part = at - row as f32;
-    // Between two rows the steps are in proportion.
+    // Between two rows the steps change by equal factors.
     let [lambda, pixels, opacity, color, picture, chroma]: [f32; 6] =
         std::array::from_fn(|i| FAMILY[row][i] * (FAMILY[row + 1][i] / FAMILY[row][i]).powf(part));
     let units_per_pixel = units_per_pixel(camera);
@@ -129,39 +129,39 @@ pub(super) fn from_settings(
     (LayerCost { lambda: lambda * moves, units_per_pixel }, steps)
 }
 
-/// What λ and the step of corrections are multiplied by in frames alone that are seen at a turn.
+/// Factors of λ and of the step of corrections for frames without a reference that are made for a turn.
 ///
-/// Matter that is moved along a ray is seen beside its place in proportion to the sine of the turn, so the move that is
-/// accepted to be rid of a layer is in inverse proportion to that, down to a turn where other faults hide it. The correction
-/// is of the picture at the own pose: it matters most there, and the less the further it is turned (docs/MATH.md).
+/// Matter that moves along a ray appears beside its place by the sine of the turn. So the accepted move is in inverse
+/// proportion to that sine, down to a turn where other errors hide it. The correction is of the picture at the own
+/// pose, and matters less as the turn grows (docs/MATH.md).
 fn alone_for_turn(turn_deg: u8) -> [f32; 2] {
     let nearer = 6.0 / f32::from(turn_deg).max(1.5);
     let corrections: ByTurn = [0.5, 0.85, 1.1, 1.15, 1.2, 1.25, 1.28, 1.31, 1.34, 1.37, 1.4];
     [nearer * nearer.sqrt().sqrt(), corrections[usize::from(turn_deg)]]
 }
 
-/// The same in predicted frames, by measurement. Layers are kept from frame to frame, so they are worth having sooner, while
-/// corrections are coded anew each time.
+/// The same for predicted frames, by measurement. Layers are kept from frame to frame, so more of them pay off.
+/// Corrections are coded anew each time.
 fn predicted_for_turn(turn_deg: u8) -> [f32; 2] {
     let nearer = 3.0 / f32::from(turn_deg).max(0.5);
     let corrections: ByTurn = [0.6, 1.0, 1.15, 1.25, 1.35, 1.45, 1.52, 1.58, 1.64, 1.7, 1.75];
     [nearer.sqrt(), corrections[usize::from(turn_deg)]]
 }
 
-/// The same in predicted frames that are fit for all turns: what is corrected stays so while planes are kept.
+/// The same for predicted frames for all turns. What is corrected stays corrected while planes are kept.
 const PREDICTED_FOR_ALL: [f32; 2] = [1.0, 0.9];
-/// A number for each turn.
+/// A factor for each turn.
 type ByTurn = [f32; MAX_TURN_DEG as usize + 1];
 /// Greatest turn that a frame is made for, degrees.
 pub const MAX_TURN_DEG: u8 = 10;
 /// Best quality.
 pub const MAX_QUALITY: u8 = 100;
-/// Bytes of [`StepSizes`].
+/// Size of [`StepSizes`], bytes.
 pub(super) const STEPS_BYTES: usize = 10;
 const FINE: f32 = 4096.0;
 const CHROMA: f32 = 16.0;
-/// λ of the layering, steps of depth in pixels, of u, of Y, of the correction, and of colour against brightness. From
-/// the coarsest; measured as the best of their neighbours at the same bytes.
+/// λ, step of depth in pixels, steps of u, of Y and of the correction, and step of colour over that of brightness.
+/// The coarsest come first. Measurements found each row better than its neighbours at the same bytes.
 const FAMILY: [[f32; 6]; 6] = [
     [26.0, 4.0, 0.45, 0.3, 0.08, 3.5],
     [11.0, 3.0, 0.36, 0.2, 0.05, 3.5],

@@ -1,4 +1,4 @@
-//! The syntax of masks and coefficients, and the contexts of all bits: which estimate each bit is coded with.
+//! The syntax of masks and coefficients, and the contexts of all bits, which choose the estimate of each bit.
 
 use std::sync::LazyLock;
 
@@ -32,7 +32,7 @@ pub(super) struct Contexts {
 }
 
 impl Contexts {
-    /// As they begin: with what was learnt from other frames.
+    /// The initial estimates, which were trained on other frames.
     pub(super) fn new() -> Box<Self> {
         static START: LazyLock<Contexts> = LazyLock::new(|| {
             let mut states = TRAINED.iter();
@@ -70,9 +70,9 @@ impl Contexts {
         }
     };
 
-    /// Quantised coefficients in the order of the zigzag: how many up to the last that is not zero, then their sizes and
-    /// signs. `near` are the classes of the layer in front and of the neighbours, [`NO_CLASS`] for none. Returns
-    /// the class.
+    /// Codes quantised coefficients in zigzag order: their number up to the last that is not zero, and then sizes and
+    /// signs. `near` has the classes of the layer in front and of the neighbours, [`NO_CLASS`] for none. Returns the
+    /// class.
     pub(super) fn coefficients(
         &mut self,
         coder: &mut impl Coder,
@@ -104,7 +104,7 @@ impl Contexts {
         for (k, level) in levels.values[..length].iter_mut().enumerate() {
             let activity = (2 * one + two).div_ceil(2).min(3) as usize;
             let models = &mut self.size[component][POSITION[k] as usize][activity];
-            // The last one is not zero.
+            // The last coefficient is not zero.
             let least = u32::from(k + 1 == length);
             let size = level.unsigned_abs();
             let mut coded = least + coder.unary(&mut models[least as usize..], size.saturating_sub(least));
@@ -118,8 +118,8 @@ impl Contexts {
         class as u8
     }
 
-    /// Which lists of a layer have matter. `before` is the mask of the layer in front, if any; `expected` that of the
-    /// moved reference, `beside` those of the matching layers on the left and above.
+    /// Codes the mask of a layer's lists with matter. `before` is the mask of the layer in front, if any, `expected`
+    /// that of the moved reference. `beside` has those of the matching layers on the left and above.
     pub(super) fn mask(
         &mut self,
         coder: &mut impl Coder,
@@ -139,8 +139,8 @@ impl Contexts {
         {
             return previous;
         }
-        // List (x, y) is bit x + 1 of row y + 1; around the block is what the layers beside have, or for lack of them the
-        // layer in front at the edge.
+        // List (x, y) is bit x + 1 of row y + 1. Around the block are the masks of the matching layers beside it.
+        // Without one, it is the edge of the layer in front.
         let mut rows = [0u16; BLOCK + 1];
         let above = beside[1].map_or(previous & 0xff, |m| m >> (BLOCK_LISTS - BLOCK)) as u16;
         rows[0] = above << 1 | above & 1 | (above & 0x80) << 2;
@@ -193,7 +193,7 @@ impl Models for Contexts {
     }
 }
 
-/// An estimate of [`TRAINED`]: one of 22 probabilities, and one of four weights.
+/// An estimate of [`TRAINED`]: one of 22 probabilities and one of four weights.
 fn trained(state: u8) -> Model {
     let state = usize::from(state.saturating_sub(FIRST_STATE));
     Model::trained(PROBABILITIES[state / SEEN.len() % PROBABILITIES.len()], SEEN[state % SEEN.len()])
@@ -202,9 +202,9 @@ fn trained(state: u8) -> Model {
 /// Quantised coefficients.
 #[derive(Clone, Debug)]
 pub(super) struct Levels {
-    /// In the order of the zigzag; those from `length` on mean nothing.
+    /// Coefficients in zigzag order. Those from `length` on mean nothing.
     pub(super) values: [i32; BLOCK_LISTS],
-    /// Up to the last that is not zero.
+    /// Number of coefficients up to the last that is not zero.
     pub(super) length: usize,
 }
 
@@ -212,7 +212,7 @@ impl Levels {
     pub(super) const ZERO: Self = Self { values: [0; BLOCK_LISTS], length: 0 };
 }
 
-/// Class of so many coefficients.
+/// Class of a number of coefficients.
 fn class_of(length: usize) -> u8 {
     CLASS_FIRST.iter().rposition(|&first| usize::from(first) <= length).unwrap_or(0) as u8
 }
@@ -227,7 +227,7 @@ fn coarse(class: usize) -> usize {
     }
 }
 
-/// Of a number of layers.
+/// Class of a number of layers.
 pub(super) fn count_class(count: usize) -> usize {
     match count {
         0..=2 => count,
@@ -238,21 +238,21 @@ pub(super) fn count_class(count: usize) -> usize {
     }
 }
 
-/// The class where there is nothing to have one.
+/// The class of a missing layer.
 pub(super) const NO_CLASS: u8 = CLASSES as u8;
-/// Opacity, brightness, colour and the picture's correction (brightness, colour), the first three also after a moved
-/// reference.
+/// Number of components: opacity, brightness, colour, and the correction's brightness; the first three again with a
+/// moved reference, and the correction's colour.
 pub(super) const COMPONENTS: usize = 8;
-/// Contexts of a depth: how far two predictions differ, or that there are fewer.
+/// Number of contexts of a depth: the difference of two predictions, or their number if there are fewer.
 pub(super) const DEPTH_CONTEXTS: usize = 9;
 /// The first character of [`TRAINED`].
 const FIRST_STATE: u8 = b'#';
-/// In units of 2⁻¹⁶: their log-odds are 0.55 apart.
+/// Probabilities in units of 2⁻¹⁶. Their log-odds are 0.55 apart.
 const PROBABILITIES: [u16; 22] = [
     203, 351, 606, 1042, 1786, 3035, 5088, 8343, 13226, 19969, 28291, 37245, 45567, 52310, 57193, 60448,
     62501, 63750, 64494, 64930, 65185, 65333,
 ];
-/// So many bits an estimate is worth.
+/// Number of bits that an estimate counts as learnt from.
 const SEEN: [u16; 4] = [1, 5, 16, 50];
 const COUNT_CLASSES: usize = 7;
 const CLASSES: usize = 12;
@@ -260,9 +260,9 @@ const CLASSES: usize = 12;
 const CLASS_FIRST: [u8; CLASSES] = [0, 1, 2, 3, 4, 5, 7, 10, 15, 21, 32, 48];
 const COARSE: usize = 5;
 const POSITIONS: usize = 6;
-/// Sizes from here on are said by a number.
+/// Sizes from here on continue as a number.
 const MAX_UNARY: usize = 15;
-/// Context of a coefficient's place.
+/// Context of a coefficient's place in zigzag order.
 const POSITION: [u8; BLOCK_LISTS] = {
     let mut position = [5; BLOCK_LISTS];
     let mut k = 0;

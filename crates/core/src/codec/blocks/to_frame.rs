@@ -1,4 +1,4 @@
-//! Decoded blocks as a layered frame.
+//! Turns decoded blocks into a layered frame.
 
 use rayon::prelude::*;
 
@@ -10,12 +10,12 @@ use super::scales::{roots, scales};
 use crate::layer::{LayeredFrame, pack_halves};
 
 impl Reference {
-    /// The frame that a client shows.
+    /// Returns the frame that a client shows.
     pub fn to_frame(&self) -> LayeredFrame {
         self.to_frame_in(None)
     }
 
-    /// The same, in the memory of a frame.
+    /// The same, in the memory of `spare`.
     pub(in crate::codec) fn to_frame_in(&self, spare: Option<LayeredFrame>) -> LayeredFrame {
         let width = self.header.camera.intrinsics.width as usize;
         let total: usize = self.bands.iter().map(|b| b.num_cells()).sum();
@@ -43,8 +43,8 @@ impl Reference {
 }
 
 wide! {
-    /// Writes the segments of a band list by list in the packed form of [`LayeredFrame`], and where those of each list end,
-    /// counted from `offset`.
+    /// Writes the segments of a band, list by list, in the packed form of [`LayeredFrame`]. Also writes the end of
+    /// each list, counted from `offset`.
     fn write_words(
         band: &Band,
         columns: usize,
@@ -66,7 +66,7 @@ fn write_words_any(
     let mut spread = NO_CELLS;
     for (y, ends) in ends.chunks_mut(columns * BLOCK).enumerate() {
         let blocks = y * band.across..(y + 1) * band.across;
-        // How long lists are, then where they end.
+        // First the length of each list, then its end.
         for (x, block) in blocks.clone().enumerate() {
             let mut lengths = [0; BLOCK_LISTS];
             for layer in band.cells_of(block).layers {
@@ -86,12 +86,12 @@ fn write_words_any(
             *end = offset + to;
         }
         for (x, block) in blocks.enumerate() {
-            // Where the next segment of each list goes.
+            // Index of the next segment of each list.
             let mut places = [0; BLOCK_LISTS];
             for (row, places) in places.chunks_exact_mut(BLOCK).enumerate() {
                 for (column, place) in places.iter_mut().enumerate() {
                     let list = row * columns + x * BLOCK + column;
-                    // There is none below the last row of the frame.
+                    // There are no lists below the last row of the frame.
                     *place = match list.checked_sub(1) {
                         Some(before) => ends.get(before).map_or(0, |end| end - offset),
                         None => first,
@@ -113,7 +113,7 @@ fn write_words_any(
     }
 }
 
-/// Cells as segments in the packed form.
+/// Converts cells to segments in the packed form.
 #[inline(always)]
 fn words_of([front, back, u, y, co, cg]: &CellPlanes) -> [[u32; BLOCK_LISTS]; 3] {
     let scales = scales();

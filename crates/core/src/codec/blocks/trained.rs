@@ -1,9 +1,10 @@
-//! What estimates of bits begin with: the result of training on other frames. It saves 6 to 7 % of the bytes for the same
-//! DSSIM (bonsai, engine, t1_head, shells at 256×192).
+//! Initial estimates of bits, trained on other frames. They save 6 to 7 % of the bytes for the same DSSIM (bonsai,
+//! engine, t1_head, shells at 256×192).
 
-/// Beginnings of the estimates of a band, one character each, in the order of `Contexts::set` (`syntax.rs`). Each is the one
-/// with which the bands of the nine scenes take the fewest bits: coded alone and predicted from a frame 1° away, at
-/// qualities 10, 30, 50, 70, 90 and 100, 256×256 and 512×512, K = 8; the first 400 bits of each estimate counted.
+/// Initial estimates of a band, one character each, in the order of `Contexts::set` (`syntax.rs`). Each is the one
+/// with which the bands of the nine scenes take the fewest bits. Frames were coded alone and predicted from a frame
+/// 1° away, at qualities 10, 30, 50, 70, 90 and 100, at 256×256 and 512×512, with K = 8. The first 400 bits of each
+/// estimate counted.
 #[rustfmt::skip]
 pub(super) const TRAINED: &[u8] = b"\
 ##O##OOOO6&j1&]O;fb2mL6aiBzOOOOOOOOOOOOjmirdmOOO@DHBHIMQQO##O0OOO;?OOOOOOwIJOOOOOOOOOOOOOO##O0OOO@COOOOOOwH?CO\

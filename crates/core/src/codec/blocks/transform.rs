@@ -1,17 +1,17 @@
-//! The 8×8 cosine transform of a block's plane, and what a plane is where nothing is known of it.
+//! The 8×8 cosine transform of a block's plane, and the values of a plane where there is no matter.
 //!
-//! Sums and products of `f32` in a fixed order: the same bits on every machine.
+//! It consists of sums and products of `f32` in a fixed order, so every machine computes the same bits.
 
 use super::model::{BLOCK, BLOCK_LISTS};
 
-/// Values of the lists of a block, row by row.
+/// Values of a block's lists, row by row.
 pub(super) type BlockPlane = [f32; BLOCK_LISTS];
 
-/// Those of a row or a column.
+/// Values of a row or a column.
 pub(super) type Line8 = [f32; BLOCK];
 
 wide! {
-    /// The orthonormal transform, frequencies row by row, horizontal ones along a row.
+    /// The orthonormal transform. Frequencies are row by row, with horizontal ones along a row.
     pub(super) fn forward(values: &BlockPlane) -> BlockPlane = forward_any;
 }
 
@@ -21,8 +21,8 @@ wide! {
 }
 
 wide! {
-    /// Gives the lists outside of `mask` smooth values, so that the transform has little to say of them: the mean, and
-    /// then relaxed towards their neighbours'.
+    /// Gives the lists outside of `mask` smooth values, which take few coefficients. They start from the mean and
+    /// relax towards their neighbours' values.
     pub(super) fn fill_in(values: &mut BlockPlane, mask: u64) = fill_in_any;
 }
 
@@ -102,7 +102,7 @@ fn add_scaled(to: &mut [f32; BLOCK], what: &[f32; BLOCK], by: f32) {
     }
 }
 
-/// Places of coefficients in the order they are coded: along the diagonals from the constant one.
+/// Places of coefficients in coding order: along the diagonals from the constant one.
 pub(super) const ZIGZAG: [u8; BLOCK_LISTS] = {
     let mut order = [0; BLOCK_LISTS];
     let mut n = 0;
@@ -170,7 +170,7 @@ const HALF_COSINES: [f32; 9] = [
     0.0,
 ];
 
-/// Relaxations of unknown lists: a value reaches across a block.
+/// Number of relaxations, enough for a value to reach across a block.
 const SWEEPS: usize = 12;
 
 #[cfg(test)]

@@ -5,13 +5,14 @@ use super::rans::{
     TokenWriter, frequencies, frequency_bits, token,
 };
 
-/// One side of coding a plane: walks over the segments call this for every number, in the same order on both sides.
+/// An encoder or decoder of a plane. Both call `code` for every number of the plane in the same order.
 pub(super) trait PlaneCoder: Default {
-    /// Codes a number in a context. An encoder asks for it, a decoder tells it. `IS_SMALL` says that most are below 16.
+    /// Codes a number in a context. An encoder calls `given` for it; a decoder returns it. `IS_SMALL` promises that
+    /// most numbers are below 16.
     fn code<const IS_SMALL: bool>(&mut self, context: usize, given: impl FnOnce() -> u32) -> u32;
 }
 
-/// Notes down the numbers of all planes until their statistics are known.
+/// Records the numbers of all planes until their statistics are known.
 pub(super) struct Recorder {
     pub(super) planes: [PlaneRecorder; NUM_PLANES],
     tables: EncodeTables,
@@ -53,7 +54,7 @@ impl PlaneCoder for PlaneRecorder {
 }
 
 impl Recorder {
-    /// Appends lengths, tables and streams of what was noted down, and forgets it.
+    /// Appends lengths, tables and streams of the recorded numbers, and forgets these.
     pub(super) fn finish(&mut self, bytes: &mut Vec<u8>) {
         let lengths = bytes.len();
         bytes.resize(lengths + DIRECTORY_BYTES, 0);
@@ -71,7 +72,7 @@ impl Recorder {
         let Self { planes, tables, writers } = self;
         let [lists, segments @ ..] = planes;
         let [of_lists, of_segments @ ..] = writers;
-        // The planes of segments side by side, since each state waits for itself alone.
+        // The planes of segments are coded side by side, because a state depends only on its own plane.
         let first = |plane: usize| FIRST_CONTEXT[plane] << TOKEN_BITS;
         tables.push([of_lists], [(&lists.symbols, first(LENGTHS))]);
         let first = std::array::from_fn(|plane| first(FRONT + plane));
@@ -92,8 +93,8 @@ impl Recorder {
         }
     }
 
-    /// Appends the tables, and fills `self.tables`. Neighbouring contexts share a table where two would take more bits than
-    /// they save: 1.5 % fewer bytes and a fifth less time to encode at 256×192 lists.
+    /// Appends the tables and fills `self.tables`. Neighbouring contexts share a table if two would take more bits
+    /// than they save. This takes 1.5 % fewer bytes and a fifth less time to encode 256×192 lists.
     fn write_tables(&mut self, bytes: &mut Vec<u8>) {
         let mut bits = BitWriter::default();
         self.tables.clear();
@@ -131,7 +132,7 @@ impl Recorder {
 struct Sharing {
     counts: TokenCounts,
     frequencies: Frequencies,
-    /// What the table and the tokens coded with it take.
+    /// Bits of the table and of the tokens coded with it.
     bits: f32,
 }
 
@@ -168,13 +169,13 @@ impl PlaneCoder for PlaneReader<'_> {
 }
 
 impl PlaneReader<'_> {
-    /// Whether the stream ends here as an encoder's would.
+    /// Whether an encoder's stream would end here.
     pub(super) fn ended(&self) -> bool {
         self.stream.ended()
     }
 }
 
-/// Readers of what [`Recorder::finish`] has appended, split by [`parts`].
+/// Makes readers of the [`parts`] that [`Recorder::finish`] appended.
 pub(super) fn readers<'a>(
     parts: &[&'a [u8]; NUM_PARTS],
 ) -> Result<[PlaneReader<'a>; NUM_PLANES], &'static str> {
@@ -195,8 +196,8 @@ pub(super) fn readers<'a>(
     if bits.ended() { Ok(readers) } else { Err("too long or too short") }
 }
 
-/// Splits what [`Recorder::finish`] has appended: the tables, then tokens and raw bits of every plane. The error names the
-/// part whose length does not fit.
+/// Splits what [`Recorder::finish`] appended into the tables, and tokens and raw bits of every plane. The error names
+/// the part whose length does not fit.
 pub(super) fn parts(bytes: &[u8]) -> Result<[&[u8]; NUM_PARTS], &'static str> {
     let (lengths, mut rest) = bytes.split_at_checked(DIRECTORY_BYTES).ok_or("part lengths")?;
     let mut parts = [&[][..]; NUM_PARTS];
@@ -207,20 +208,20 @@ pub(super) fn parts(bytes: &[u8]) -> Result<[&[u8]; NUM_PARTS], &'static str> {
     if rest.is_empty() { Ok(parts) } else { Err("part lengths") }
 }
 
-/// The name of the tables in errors.
+/// Name of the tables in errors.
 pub(super) const TABLES: &str = "tables";
 pub(super) const LENGTHS: usize = 0;
 const FRONT: usize = 1;
-/// Planes that are coded: lengths with one number a list; front, back, τ, green, red and blue with one a segment.
+/// Number of planes. Lengths have one number a list; front, back, τ, green, red and blue have one a segment.
 pub(super) const NUM_PLANES: usize = 7;
-/// Tables, and tokens and raw bits of each plane.
+/// Number of parts: the tables, and tokens and raw bits of each plane.
 const NUM_PARTS: usize = 1 + 2 * NUM_PLANES;
 const DIRECTORY_BYTES: usize = 4 * NUM_PARTS;
 pub(super) const PLANE_NAMES: [&str; NUM_PLANES] =
     ["lengths", "front", "back", "tau", "green", "red", "blue"];
-/// Contexts of lengths, front, back, τ, green, red and blue, as `predict` numbers them.
+/// Number of contexts of each plane, as `predict` numbers them.
 pub(super) const CONTEXTS: [usize; NUM_PLANES] = [36, 25, 30, 24, 12, 16, 16];
-/// Number of the first context of each plane, and in the end of all.
+/// Number of the first context of each plane, and at the end the number of all contexts.
 const FIRST_CONTEXT: [usize; NUM_PLANES + 1] = {
     let mut first = [0; NUM_PLANES + 1];
     let mut plane = 0;

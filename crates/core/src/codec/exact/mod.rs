@@ -1,8 +1,9 @@
-//! The exact coding: all lists and depths as they are, in contexts with range asymmetric numeral systems.
+//! The exact coding. It keeps all lists and depths, and uses range asymmetric numeral systems with contexts.
 //!
-//! Colour and optical depth are quantised (`scale`) front to back (`quantize`): each segment makes up for the error of the
-//! composite so far, so the picture from the frame's own pose does not drift. Numbers are predicted from the lists beside
-//! (`predict`, `rows`) and coded by plane (`planes`, `contexts`, `rans`). To encode a decoded frame gives the same bytes.
+//! Colour and optical depth are quantised (`scale`) front to back (`quantize`). Each segment makes up for the error
+//! of the composite so far, so the picture from the frame's own pose does not drift. Numbers are predicted from
+//! neighbouring lists (`predict`, `rows`) and coded plane by plane (`planes`, `contexts`, `rans`). A decoded frame
+//! encodes to the same bytes.
 //!
 //! A file uses only those above it:
 //!
@@ -40,13 +41,13 @@ pub(super) fn prepare() {
     scale::scale();
 }
 
-/// Encodes a valid frame, bands in parallel. Ends early when it is no longer wanted.
+/// Encodes a valid frame, bands in parallel. Stops when the frame is no longer wanted.
 pub(super) fn encode(frame: &LayeredFrame, wanted: Wanted<'_>) -> Result<EncodedFrame, CodecError> {
     let intrinsics = frame.header.camera.intrinsics;
     at_most("lists", intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
     at_most("segments in a frame", frame.num_segments(), MAX_FRAME_SEGMENTS)?;
     let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
-    // Bands take as long as they have segments.
+    // The time of a band is proportional to its segments.
     let end = |row: usize| frame.offsets[(row * TILE).min(height) * width];
     let num_rows = num_tiles(intrinsics.height);
     let work: Vec<_> = (0..num_rows).map(|row| (end(row + 1) - end(row)) as usize).collect();
@@ -69,7 +70,7 @@ pub(super) fn encode(frame: &LayeredFrame, wanted: Wanted<'_>) -> Result<Encoded
     EncodedFrame::from_payloads(frame.header, true, &head, payloads)
 }
 
-/// Decodes all chunks of a frame, in their order. Takes the memory of `spare`, a frame that is no longer needed.
+/// Decodes all chunks of a frame, in order of index. Reuses the memory of `spare`.
 pub(super) fn decode(
     chunks: &[(ChunkHeader, &[u8])],
     spare: Option<LayeredFrame>,
@@ -110,10 +111,10 @@ pub(super) fn decode(
     Ok(frame)
 }
 
-/// A band that is decoded, and where it goes.
+/// A band to decode, and its place in the frame.
 struct OpenBand<'a, 'b> {
     chunk: Opened<'a>,
-    /// Number of its first segment in the frame.
+    /// Index of its first segment in the frame.
     first: u32,
     ends: &'b mut [u32],
     words: Words<'b>,

@@ -1,5 +1,5 @@
-//! The payload of a chunk in the exact coding: which tiles hold anything, then the lengths of their lists and the
-//! segments as planes of numbers, each plane a stream of its own (`contexts`, `rans`).
+//! The payload of a chunk in the exact coding. It states which tiles have segments, the lengths of their lists, and
+//! the segments as planes of numbers. Each plane is a stream of its own (`contexts`, `rans`).
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -17,14 +17,14 @@ use super::rows::{ListRows, SegmentCodes};
 use super::scale::scale;
 use crate::camera::Intrinsics;
 
-/// The rows of lists of a band, of a frame with so many.
+/// The rows of lists of a band in a frame of `height` rows.
 pub(super) fn rows_of(borders: Borders, band: usize, height: u32) -> Range<usize> {
     let rows = borders.rows(band, num_tiles(height));
     let edge = |row: usize| (row * TILE).min(height as usize);
     edge(rows.start)..edge(rows.end)
 }
 
-/// Encodes the lists of one chunk, which are `width` to a row: the payload behind the borders of bands.
+/// Encodes the lists of a chunk, `width` in a row. Returns the payload without the borders of bands.
 pub(super) fn encode(lists: &mut CodedLists, width: usize) -> Result<Vec<u8>, CodecError> {
     let CodedLists { counts, codes } = lists;
     at_most("segments in a chunk", codes.len(), MAX_CHUNK_SEGMENTS)?;
@@ -49,19 +49,19 @@ pub(super) fn encode(lists: &mut CodedLists, width: usize) -> Result<Vec<u8>, Co
     })
 }
 
-/// A chunk whose lists are known, and whose segments are still to be decoded.
+/// A chunk whose list lengths are known, and whose segments are still to be decoded.
 pub(super) struct Opened<'a> {
     pub(super) borders: Borders,
     /// Length of each list.
     pub(super) counts: Vec<u8>,
     pub(super) num_segments: usize,
-    /// Lists to a row.
+    /// Number of lists in a row.
     width: usize,
     readers: [PlaneReader<'a>; NUM_PLANES],
 }
 
 impl<'a> Opened<'a> {
-    /// Opens a chunk, header included, of the length that its header says.
+    /// Opens a chunk, header included. Its length must be the one that the header states.
     pub(super) fn new(header: &ChunkHeader, bytes: &'a [u8]) -> Result<Self, CodecError> {
         let Intrinsics { width, height, .. } = header.frame.camera.intrinsics;
         let width = width as usize;
@@ -87,16 +87,16 @@ impl<'a> Opened<'a> {
     }
 }
 
-/// The words of so many segments, as planes of [`crate::layer::LayeredFrame`]: depths, red and green, blue and τ.
+/// Segments as words, in the planes of [`crate::layer::LayeredFrame`]: depths, red and green, blue and τ.
 pub(super) type Words<'a> = [&'a mut [u32]; 3];
 
-/// Decodes the segments of a chunk, into as many words.
+/// Decodes the segments of a chunk into `words`, which have room for exactly these.
 pub(super) fn decode(opened: &mut Opened<'_>, words: Words<'_>) -> Result<(), CodecError> {
     let Opened { counts, num_segments, width, readers, .. } = opened;
     let (scale, width) = (scale(), *width);
     let half_c = |q: u16| u32::from(scale.color_half[usize::from(q)]);
     let half_tau = |q: u8| u32::from(scale.tau_half[usize::from(q)]);
-    // Of a chunk without segments there may be many millions of lists.
+    // A chunk without segments may have many millions of lists.
     let counts = if *num_segments > 0 { &counts[..] } else { &[] };
     let mut rows = ListRows::new(scale, counts, width);
     let mut words = words;
@@ -119,7 +119,7 @@ pub(super) fn decode(opened: &mut Opened<'_>, words: Words<'_>) -> Result<(), Co
     }
 }
 
-/// Which tiles of a band hold anything.
+/// Which tiles of a band have segments.
 struct Tiles {
     across: usize,
     /// One bit a tile, row by row, lowest bit first.
@@ -142,7 +142,7 @@ impl Tiles {
         Self { across, bits }
     }
 
-    /// Those of a band in front of a payload, and what is behind them.
+    /// Reads the tiles of a band at the start of a payload. Returns the rest of the payload, too.
     fn read(payload: &[u8], width: usize, num_rows: usize) -> Result<(Self, &[u8]), CodecError> {
         let across = width.div_ceil(TILE);
         let num = across * num_rows.div_ceil(TILE);
@@ -166,7 +166,7 @@ impl Tiles {
     }
 }
 
-/// Codes the lengths of the lists, `width` to a row, of all tiles that hold any; a decoder fills them in.
+/// Codes the lengths of the lists in all tiles with segments, `width` lists in a row. A decoder fills them in.
 fn walk_lengths<P: PlaneCoder>(plane: &mut P, tiles: &Tiles, counts: &mut [u8], width: usize) {
     for y in 0..counts.len() / width {
         let (above, row) = counts.split_at_mut(y * width);
@@ -195,6 +195,6 @@ fn damaged(plane: &'static str, problem: impl std::fmt::Display) -> CodecError {
 }
 
 thread_local! {
-    // A recorder is some megabytes in the end: one a thread, kept.
+    // A recorder grows to some megabytes, so each thread keeps one.
     static RECORDER: RefCell<Recorder> = RefCell::default();
 }

@@ -1,11 +1,11 @@
-//! What a segment is expected to be, from the lists to the left and above and the segments in front of it, and how sure
-//! that is: the context it is coded in. Encoder and decoder both run this, so it uses exact arithmetic only: integers,
-//! tables made of sums and products (`scale`), and one product of IEEE floats, the transmittance in front.
+//! Predicts a segment from the lists to the left and above and from the segments in front of it. The context of its
+//! numbers says how certain the prediction is. Encoder and decoder both run this, so it uses exact arithmetic only:
+//! integers, tables made of sums and products (`scale`), and one product of IEEE floats, the transmittance in front.
 //!
-//! Surfaces go on from list to list, while numbers of segments do not: a segment is compared with those of
-//! the neighbours at its own depth, not with those of its own number. Colour depends on how much matter of its kind
-//! a segment holds: C is E·α, and on the square-root scale its code goes with √α. So the optical depth is expected from
-//! the thickness and the neighbours' extinction, green from the optical depth, and red and blue as green turned out.
+//! Surfaces continue from list to list, but the numbers of segments do not. So a segment is compared with the
+//! neighbours' segments at its own depth, not with those of its own number. Colour is C = E·α, and on the square-root
+//! scale its code is proportional to √α. So the optical depth is predicted from the thickness and the neighbours'
+//! extinction, green from the optical depth, and red and blue from the ratio of green to its prediction.
 
 use std::hint::{cold_path, select_unpredictable};
 
@@ -13,11 +13,11 @@ use super::contexts::{NUM_PLANES, PlaneCoder};
 use super::rows::{ColorRatio, ListRows, Neighbors, SegmentCodes};
 use super::scale::{self, MAX_COLOR_CODE, Scale};
 
-/// A segment that lies in front of the one before it in its list, or holds nothing: front, back, and the back before.
+/// A segment that is empty or begins in front of the previous one's back: its front, its back, and the previous back.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Misordered(pub(super) [u32; 3]);
 
-/// Codes the segments of a row of lists of lengths `counts`. A decoder fills them in.
+/// Codes the segments of a row of lists with lengths `counts`. A decoder fills them in.
 pub(super) fn row<P: PlaneCoder>(
     planes: &mut [P; NUM_PLANES],
     scale: &Scale,
@@ -27,7 +27,7 @@ pub(super) fn row<P: PlaneCoder>(
     #[cfg(target_arch = "x86_64")]
     if has_wide_instructions() {
         #[expect(unsafe_code, reason = "the one way to instructions that not every processor has")]
-        // SAFETY: this processor has them.
+        // SAFETY: this processor has these instructions.
         return unsafe { row_wide(planes, scale, rows, counts) };
     }
     passes(planes, scale, rows, counts)
@@ -41,7 +41,7 @@ fn has_wide_instructions() -> bool {
         && is_x86_feature_detected!("lzcnt")
 }
 
-/// The same with instructions for shifts and leading zeros. No multiplication is fused with an addition.
+/// The same, compiled with instructions for shifts and leading zeros. No multiplication is fused with an addition.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
 fn row_wide<P: PlaneCoder>(
@@ -53,8 +53,8 @@ fn row_wide<P: PlaneCoder>(
     passes(planes, scale, rows, counts)
 }
 
-/// One plane after the other where that is possible: segments of a plane hardly depend on each other, so that a processor
-/// works on several at once, while the planes of a segment each wait for the one before.
+/// Codes one plane after the other where possible. Segments of a plane hardly depend on each other, so a processor
+/// works on several at once. The planes of one segment each wait for the previous one.
 #[inline(always)]
 fn passes<P: PlaneCoder>(
     planes: &mut [P; NUM_PLANES],
@@ -70,13 +70,13 @@ fn passes<P: PlaneCoder>(
     Ok(())
 }
 
-/// The context of a list's length between those to the left and above.
+/// The context of a list's length, given those to the left and above.
 pub(super) fn length_context(left: u8, above: u8) -> usize {
     usize::from((u16::from(left) + u16::from(above)).div_ceil(2).min(11)) * 3
         + usize::from(left.abs_diff(above).min(2))
 }
 
-/// Codes where the segments begin and end, and notes which others each is expected to be like.
+/// Codes fronts and backs of the segments, and notes which neighbours each one is like.
 #[inline(always)]
 fn depths<P: PlaneCoder>(
     [fronts, backs]: [&mut P; 2],
@@ -121,7 +121,8 @@ fn list<P: PlaneCoder>(
             false => 1 + zigzag(front_of(given).wrapping_sub(ahead.expected)),
         });
         let mut front = last_back;
-        // A branch, so that the back is looked for before the front is known: most segments begin where the one before ends.
+        // A branch lets the processor search for the back before it knows the front: most segments begin where the
+        // previous one ends.
         if coded > 0 {
             front = ahead.expected.wrapping_add(unzigzag(coded - 1)) & 0xffff;
             if front < last_back || front == NONE {
@@ -166,10 +167,11 @@ fn back_of(depths: u32) -> u32 {
     depths >> 16
 }
 
-/// From a segment of a list to the first one that ends behind `depth`, which is less than [`NONE`].
+/// Moves from a segment of a list to the first one that ends behind `depth`, which is less than [`NONE`].
 #[inline(always)]
 fn pass(depths: &[u32], at: usize, depth: u32) -> usize {
-    // One is the most frequent, and where none or one is as likely a branch would be wrong half of the time.
+    // Most moves go one segment on. Where none or one is equally likely, a branch would be mispredicted half of the
+    // time.
     let mut at = at + usize::from(back_of(depths[at]) <= depth);
     while back_of(depths[at]) <= depth {
         at += 1;
@@ -177,8 +179,8 @@ fn pass(depths: &[u32], at: usize, depth: u32) -> usize {
     at
 }
 
-/// Of the first two segments that end behind `front`, the one that shares more with `front..back`, and whether it shares
-/// any.
+/// Of the first two segments that end behind `front`, returns the one that shares more with `front..back`, and
+/// whether it shares any.
 #[inline(always)]
 fn matched(depths: &[u32], at: usize, front: u32, back: u32) -> (bool, usize) {
     let shared = |s: u32| back_of(s).min(back) as i32 - front_of(s).max(front) as i32;
@@ -190,9 +192,9 @@ fn matched(depths: &[u32], at: usize, front: u32, back: u32) -> (bool, usize) {
 struct Ahead {
     /// Of the left neighbour and the upper one: 0 nothing, 1 a segment that goes on, 2 a gap.
     kinds: [usize; 2],
-    /// How much they disagree on the front of a segment that begins behind a gap.
+    /// Class of their disagreement about the front of a segment that begins behind a gap.
     disagreement: usize,
-    /// Where that front is expected.
+    /// The prediction of that front.
     expected: u32,
 }
 
@@ -204,7 +206,7 @@ impl Ahead {
             select_unpredictable(front_of(here) <= last_back, 1, is_gap)
         };
         let kinds = [kind(depths[left]), kind(depths[above])];
-        // Where each has the next front.
+        // The next front of each neighbour.
         let a = front_of(depths[left + usize::from(kinds[0] == 1)]);
         let b = front_of(depths[above + usize::from(kinds[1] == 1)]);
         // Only a gap tells where a gap ends.
@@ -223,8 +225,8 @@ impl Ahead {
     }
 }
 
-/// The context of a back and what it is expected to be: the next end behind `front`, but of a segment of which less than
-/// a half is left, that of the one behind.
+/// The context and the prediction of a back: the neighbours' next back behind `front`. If less than half of that
+/// segment is left, the one behind it counts.
 #[inline(always)]
 fn back(depths: &[u32], left: usize, above: usize, front: u32, is_last: bool) -> (usize, u32) {
     let ahead = |at: usize| {
@@ -236,8 +238,9 @@ fn back(depths: &[u32], left: usize, above: usize, front: u32, is_last: bool) ->
     (disagreement + usize::from(is_last) * 15, expected)
 }
 
-/// How much two depths disagree, and what is expected of them: two that agree are averaged; of two that do not, one belongs
-/// to another surface, and the nearer comes first. If both are [`NONE`], `otherwise` is expected.
+/// Returns the class of the disagreement of two depths, and a prediction. Two that agree are averaged. Of two that do
+/// not, one belongs to another surface, and the nearer one counts. If both are [`NONE`], the prediction is
+/// `otherwise`.
 #[inline(always)]
 fn agreed(a: u32, b: u32, otherwise: u32) -> (usize, u32) {
     let (nearer, farther) = (a.min(b), a.max(b));
@@ -261,14 +264,14 @@ fn optical_depths<P: PlaneCoder>(plane: &mut P, scale: &Scale, rows: &mut ListRo
         kappa = if link.is_first { 1.0 } else { kappa };
         let slot = link.slot as usize;
         let given = matters[slot].tau;
-        // The neighbours' extinction on this thickness.
+        // Optical depths that the neighbours' extinctions give this thickness.
         let log_thickness = scale::log_thickness(link.thickness);
         let [a, b] = link.like.map(|like| {
             let log_extinction = matters[like as usize].log_extinction;
             u32::from(scale.tau_from_log(log_extinction + log_thickness))
         });
         let mut context = link.context(a.abs_diff(b));
-        // A branch, so that the next one is looked for before this transmittance is known.
+        // A branch lets the processor go on to the next segment before it knows this transmittance.
         if kappa < HIDDEN {
             cold_path();
             context += 12;
@@ -285,7 +288,7 @@ fn optical_depths<P: PlaneCoder>(plane: &mut P, scale: &Scale, rows: &mut ListRo
     *plane = coder;
 }
 
-/// Codes the green channel, and expects the others.
+/// Codes the green channel, and prepares the prediction of the others.
 #[inline(always)]
 fn greens<P: PlaneCoder>(plane: &mut P, scale: &Scale, rows: &mut ListRows) {
     let ListRows { matters, links, tints, .. } = rows;
@@ -303,7 +306,7 @@ fn greens<P: PlaneCoder>(plane: &mut P, scale: &Scale, rows: &mut ListRows) {
         let context = link.context(a.abs_diff(b) >> 5);
         let (green, coded) = channel(&mut coder, max_code, context, (expected + 32) >> 6, given);
         matters[slot].c[1] = green;
-        // In 4096ths; the product with an expected code has 18 bits below one.
+        // In 4096ths. The product with a predicted code has 18 fractional bits.
         let turned_out = ((u32::from(green) << 18) / expected.max(1)).min(0xffff);
         let turned_out = select_unpredictable(expected > 64, turned_out, 1 << 12);
         let alone = u16::from(context > 8) * 8;
@@ -340,14 +343,14 @@ fn reds_and_blues<P: PlaneCoder>(planes: [&mut P; 2], rows: &mut ListRows) {
     (*red_plane, *blue_plane) = (reds, blues);
 }
 
-/// A channel of a segment, in half of 64ths, so many times brighter.
+/// A channel of a segment, `times` as bright, in 128ths of a code.
 #[inline(always)]
 fn source(matters: &[SegmentCodes], like: u32, times: u32, channel: usize) -> u32 {
     (u32::from(matters[like as usize].c[channel]) * times) >> 11
 }
 
 impl Neighbors {
-    /// The context of what two neighbours expect with such a difference.
+    /// The context for two neighbours whose values differ by `difference`.
     #[inline(always)]
     fn context(&self, difference: u32) -> usize {
         let of_two = octave(difference).min(8);
@@ -355,7 +358,7 @@ impl Neighbors {
     }
 }
 
-/// Codes a colour channel: its code, and the number that was coded.
+/// Codes a colour channel. Returns its code and the coded number.
 #[inline(always)]
 fn channel<P: PlaneCoder>(
     coder: &mut P,
@@ -374,7 +377,7 @@ fn octave(number: u32) -> usize {
     (u32::BITS - number.leading_zeros()) as usize
 }
 
-/// A difference modulo 2¹⁶ taken as the signed number nearest to zero: 0, −1, 1, −2 … become 0, 1, 2, 3 …
+/// Maps a difference modulo 2¹⁶, read as a signed number, to a small one: 0, −1, 1, −2 … become 0, 1, 2, 3 …
 fn zigzag(difference: u32) -> u32 {
     let difference = difference as i16;
     u32::from((difference << 1 ^ difference >> 15) as u16)
@@ -390,13 +393,13 @@ fn unzigzag(number: u32) -> u32 {
     number >> 1 ^ (number & 1).wrapping_neg()
 }
 
-/// The depth of no segment.
+/// The depth of a missing segment.
 const NONE: u32 = 0xffff;
-/// Contexts of a front behind another segment, by what the left (in steps of 4) and the upper neighbour have there.
+/// Contexts of a front behind another segment, by the kinds of the left neighbour (in steps of 4) and the upper one.
 const GAP_CONTEXT: [u8; 12] = [15, 16, 19, 0, 16, 17, 18, 0, 19, 18, 20, 0];
-/// [`Neighbors::kind`] of segments behind another and of first ones, by the number of neighbours that are alike.
+/// [`Neighbors::kind`] of later segments and of first ones, by the number of like neighbours.
 const KINDS: [[u8; 3]; 2] = [[10, 9, 0], [11, 9, 0]];
-/// Depths that differ by less are of the same surface.
+/// Depths that differ by less belong to the same surface.
 const AGREE: u32 = 6;
-/// Transmittance in front of a segment below which its optical depth is coded in other contexts.
+/// Below this transmittance in front of a segment, its optical depth has other contexts.
 const HIDDEN: f32 = 1.0 / 64.0;

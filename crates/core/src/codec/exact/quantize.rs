@@ -1,16 +1,16 @@
-//! Lists to codes: quantisation front to back in a closed loop.
+//! Quantises lists front to back in a closed loop.
 //!
 //! The encoder composites what the decoder will see. Let κ be the transmittance in front of a segment, κ' that of the
-//! quantised segments, and e the colour by which the composite so far falls short. The segment's colour is then coded
-//! as (κC + e)/κ' and its optical depth as τ plus what is missing so far. What is left of the picture's error is that
-//! of the last segment that counts, times its transmittance. So that a segment stays what it is from other poses, a
-//! correction changes colour and optical depth by at most an eighth ([`GIVE`]), and ends where κ' is below
-//! [`CLOSED_LOOP_LEAST`]: nothing behind is seen from here.
+//! quantised segments, and e the colour that the composite lacks so far. The segment's colour is coded as (κC +
+//! e)/κ', and its optical depth as τ plus the missing optical depth so far. The picture keeps only the error of the
+//! last visible segment, times its transmittance. A correction changes colour and optical depth by at most an eighth
+//! ([`GIVE`]), so a segment looks right from other poses. Corrections end where κ' is below [`CLOSED_LOOP_LEAST`],
+//! because nothing behind is visible.
 //!
-//! On a frame that was decoded every correction is exactly zero, so its codes are found again.
+//! For a decoded frame every correction is exactly zero, so quantisation finds the same codes again.
 //!
-//! In a projection of the greatest key colours are coded as they are, and the segment that has that key keeps a greater
-//! code than all others of its list. Of a mean, the sum of colours is what must not drift.
+//! In a projection of the greatest key, colours are coded without correction. The segment with that key keeps a
+//! greater code than all others of its list. In a mean, the sum of colours must not drift.
 
 use std::ops::Range;
 
@@ -28,7 +28,7 @@ pub(super) struct Code {
     pub(super) tau: u8,
 }
 
-/// Consecutive lists: their lengths, and their segments one list after the other.
+/// Consecutive lists: their lengths, and all their segments in order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct CodedLists {
     pub(super) counts: Vec<u8>,
@@ -68,7 +68,7 @@ fn quantize_list(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [C
         } else {
             s.tau
         };
-        // A depth that was not zero must not become zero by correction either.
+        // A correction must not make a positive depth zero.
         let tau_code = if s.tau > 0.0 { scale.tau_code(tau).max(1) } else { 0 };
         missing_tau += s.tau - scale.tau[usize::from(tau_code)];
 
@@ -92,7 +92,7 @@ fn quantize_list(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [C
     }
 }
 
-/// Of a projection of the greatest key.
+/// Quantises a list of a projection of the greatest key.
 fn quantize_keys(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Code]) {
     let (mut greatest, mut winner) = (0.0, 0);
     for (i, out) in out.iter_mut().enumerate() {
@@ -109,7 +109,7 @@ fn quantize_keys(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [C
     }
 }
 
-/// Of a projection of the mean.
+/// Quantises a list of a projection of the mean.
 fn quantize_sum(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Code]) {
     let mut missing = [0f32; 3];
     for (i, out) in out.iter_mut().enumerate() {
@@ -123,8 +123,8 @@ fn quantize_sum(frame: &LayeredFrame, first: usize, scale: &Scale, out: &mut [Co
     }
 }
 
-/// Greatest relative change of a segment by correction. A step of the scale of τ changes κ by up to 2 % (at τ = 2)
-/// and its carried error by as much again.
+/// Greatest relative change of a segment by correction. A step of τ changes κ by up to 2 % (at τ = 2), and the
+/// carried error by as much again.
 pub(super) const GIVE: f32 = 0.125;
-/// Transmittance below which a picture of 8 bits shows nothing.
+/// Below this transmittance an 8-bit picture shows nothing.
 const CLOSED_LOOP_LEAST: f32 = 1.0 / 1024.0;

@@ -1,30 +1,31 @@
-//! The entropy stage of the exact coding: static range asymmetric numeral systems (Duda 2013) with one table a context.
+//! The entropy stage of the exact coding: static range asymmetric numeral systems (Duda 2013) with a table for each
+//! context.
 //!
-//! Numbers become *tokens* and raw bits (`token`): small ones are a token each, larger ones share a token with all
-//! of their octave's half. The tokens of a plane are one stream with one state of 32 bits, renewed by 16 bits at a time;
-//! frequencies sum to 2¹². A decoder finds a token by the alias method (Walker 1977; Vose 1991), as JPEG XL does:
-//! the 4096 slots are 64 buckets of 64, and a bucket holds the slots of its own token and of one other. A table is about a
-//! kilobyte, so those in use stay in the first caches, and finding a token takes no search and no branch.
+//! Numbers become *tokens* and raw bits (`token`). Each small number is a token; larger ones share a token with their
+//! half of an octave. The tokens of a plane are one stream with one 32-bit state, renewed by 16 bits at a time.
+//! Frequencies sum to 2¹². A decoder finds a token by the alias method (Walker 1977; Vose 1991), as JPEG XL does: the
+//! 4096 slots are 64 buckets of 64, and a bucket holds slots of its own token and of one other. A table has about a
+//! kilobyte, so tables in use stay in the first caches. Finding a token takes no search and no branch.
 //!
-//! Decoding is total: a state is any number, a stream that has ended gives zeros, and [`TokenStream::ended`] says in
-//! the end whether it was the one that an encoder made.
+//! Decoding is total: any number is a state, and a stream that has ended gives zeros. At the end,
+//! [`TokenStream::ended`] tells whether an encoder made the stream.
 
 use std::hint::select_unpredictable;
 
-/// Tokens that a table can tell apart.
+/// Number of tokens in a table.
 pub(super) const TOKENS: usize = 64;
 /// Sum of the frequencies of a table.
 const SLOTS: u32 = 1 << SLOT_BITS;
 const SLOT_BITS: u32 = 12;
-/// Slots of a bucket.
+/// Number of slots in a bucket.
 const BUCKET: u32 = SLOTS / TOKENS as u32;
 const BUCKET_BITS: u32 = 6;
-/// Bits of the least number of a token in [`NUMBERS`].
+/// Number of bits for the least number of a token in [`NUMBERS`].
 const NUMBER_BITS: u32 = 24;
 const LEAST_NUMBER: u32 = (1 << NUMBER_BITS) - 1;
-/// Least state between two tokens, and the state of an encoder that has not coded anything.
+/// Least state between two tokens, and the initial state of an encoder.
 const LEAST_STATE: u32 = 1 << 16;
-/// Numbers that are a token of their own.
+/// Numbers below this are tokens of their own.
 const SMALL: u32 = 16;
 
 /// How often each token occurs.
@@ -34,15 +35,15 @@ pub(super) type Frequencies = [u16; TOKENS];
 
 /// The token of a number below 2¹⁷, how many raw bits follow it, and those bits.
 pub(super) fn token(number: u32) -> (u8, u32, u32) {
-    // Which of the two it is can hardly be foretold: no branch.
+    // A branch would be hard to predict.
     let octave = (number | (SMALL - 1)).ilog2();
     let bits = select_unpredictable(number < SMALL, 0, octave - 1);
     let first = select_unpredictable(number < SMALL, 0, SMALL - 10 + 2 * octave);
     ((first + (number >> bits)) as u8, bits, number & ((1 << bits) - 1))
 }
 
-/// Least number of each token in the low [`NUMBER_BITS`], and how many raw bits complete it. Tokens that no number has are
-/// as the greatest that one has.
+/// For each token the least number, in the low [`NUMBER_BITS`], and the number of raw bits that complete it. Unused
+/// tokens repeat the greatest used one.
 static NUMBERS: [u32; TOKENS] = {
     let mut numbers = [0; TOKENS];
     let mut token = 0;
@@ -59,7 +60,8 @@ static NUMBERS: [u32; TOKENS] = {
     numbers
 };
 
-/// Frequencies in proportion to the counts; every token that occurs has one. Without any count, those of token 0 alone.
+/// Frequencies in proportion to the counts. Every token that occurs has at least 1. Without any count, token 0 has
+/// all.
 pub(super) fn frequencies(counts: &TokenCounts) -> Frequencies {
     let total: u64 = counts.iter().map(|&c| u64::from(c)).sum();
     let mut out = [0; TOKENS];
@@ -74,7 +76,7 @@ pub(super) fn frequencies(counts: &TokenCounts) -> Frequencies {
             sum += u32::from(*frequency);
         }
     }
-    // What rounding has left over or taken too much is the most frequent tokens', where it matters least.
+    // The most frequent tokens take what rounding left over or overspent, because it matters least there.
     while sum != SLOTS {
         let Some(most) = out.iter_mut().max() else { break };
         let excess = sum.saturating_sub(SLOTS).min(u32::from(*most) / 2);
@@ -84,7 +86,7 @@ pub(super) fn frequencies(counts: &TokenCounts) -> Frequencies {
     out
 }
 
-/// Bits that [`BitWriter::frequencies`] takes.
+/// Number of bits that [`BitWriter::frequencies`] writes.
 pub(super) fn frequency_bits(frequencies: &Frequencies) -> u32 {
     let last = last_token(frequencies);
     let bits = |&f: &u16| CLASS_BITS + class(f).saturating_sub(1);
@@ -103,13 +105,13 @@ fn class(frequency: u16) -> u32 {
 const TOKEN_BITS: u32 = 6;
 const CLASS_BITS: u32 = 4;
 
-/// The slots of a table shared out to buckets.
+/// Distribution of a table's slots over buckets.
 struct Alias {
-    /// The first slots of a bucket, this many, are those of the bucket's own token, in order.
+    /// Number of a bucket's own slots. They come first, in order.
     cutoff: [u16; TOKENS],
-    /// Whose the other slots are.
+    /// The token of the other slots.
     other: [u8; TOKENS],
-    /// Number of the first of these among the slots of that token.
+    /// Index of the first of these among the slots of that token.
     start: [u16; TOKENS],
 }
 
@@ -143,29 +145,29 @@ impl Alias {
     }
 }
 
-/// How a decoder sees a table: by buckets.
+/// A table for decoding, by buckets.
 #[derive(Clone)]
 #[repr(align(64))]
 pub(super) struct DecodeTable {
-    /// The slots below this in a bucket are its own token's.
+    /// Slots of a bucket below this belong to its own token.
     cutoffs: [u8; TOKENS],
-    /// What the slots of a bucket mean that are its own token's, and those that are not.
+    /// Meaning of a bucket's own slots, and of the others.
     meanings: [[Meaning; 2]; TOKENS],
 }
 
-/// What a slot means.
+/// The meaning of a slot.
 #[derive(Clone, Copy)]
 #[repr(C, align(8))]
 struct Meaning {
-    /// Of [`NUMBERS`] that of the token.
+    /// The token's entry of [`NUMBERS`].
     number: u32,
     frequency: u16,
-    /// To be added to a place in the bucket to give the number of the slot among those of the token.
+    /// Difference between a slot's index among those of its token and its place in the bucket.
     add: i16,
 }
 
 impl DecodeTable {
-    /// The table of these frequencies.
+    /// Makes the table of these frequencies.
     pub(super) fn new(frequencies: &Frequencies) -> Self {
         let Alias { cutoff, other, start } = Alias::new(frequencies);
         let meaning =
@@ -179,24 +181,24 @@ impl DecodeTable {
     }
 }
 
-/// How an encoder sees the tables of many contexts.
+/// The tables of many contexts for encoding.
 #[derive(Default)]
 pub(super) struct EncodeTables {
-    /// [`TOKENS`] for each context.
+    /// [`TOKENS`] entries for each context.
     tokens: Vec<EncodeToken>,
-    /// The slots of each table, those of every token in order.
+    /// The slots of each table, ordered by token.
     slots: Vec<u16>,
 }
 
 /// A token in a context.
 #[derive(Clone, Copy, Default)]
 struct EncodeToken {
-    /// ⌊2⁴⁴/f⌋ + 1. Its product with a state x < f·2²⁰ is below 2⁶⁴ and 2⁴⁴·x/f plus at most x, less than 2⁴⁴/f: the upper
-    /// bits are ⌊x/f⌋.
+    /// ⌊2⁴⁴/f⌋ + 1. Its product with a state x < f·2²⁰ is below 2⁶⁴, and exceeds 2⁴⁴·x/f by at most x, which is below
+    /// 2⁴⁴/f. So the upper bits are ⌊x/f⌋.
     inverse: u64,
-    /// How often it occurs, f; at least 1.
+    /// Its frequency f, at least 1.
     frequency: u32,
-    /// Place of its first slot.
+    /// Index of its first slot.
     first: u32,
 }
 
@@ -207,7 +209,7 @@ impl EncodeTables {
         self.slots.clear();
     }
 
-    /// Appends a table for so many contexts.
+    /// Appends a table that this many contexts share.
     pub(super) fn add(&mut self, frequencies: &Frequencies, num_contexts: usize) {
         let first_slot = self.slots.len();
         let first_token = self.tokens.len();
@@ -238,8 +240,9 @@ impl EncodeTables {
         }
     }
 
-    /// Codes planes of equally many tokens side by side, the last ones first. A token comes as 64 times its context in the
-    /// plane and itself; with each plane comes 64 times its first context. Every token must occur in its table.
+    /// Codes planes with the same number of tokens side by side, last tokens first. A token is given as 64 times its
+    /// context in the plane plus itself. Each plane comes with 64 times its first context. Every token must occur in
+    /// its table.
     pub(super) fn push<const N: usize>(
         &self,
         mut writers: [&mut TokenWriter; N],
@@ -250,7 +253,7 @@ impl EncodeTables {
         let mut states = writers.each_ref().map(|writer| writer.state);
         for writer in &mut writers {
             writer.words.clear();
-            // At most one a token; the last ones are the first.
+            // At most one word a token; the last ones come first.
             writer.words.resize(num_tokens, 0);
         }
         let words = writers.each_mut().map(|writer| &mut writer.words[..num_tokens]);
@@ -277,7 +280,7 @@ impl EncodeTables {
     }
 }
 
-/// The tokens of a plane on their way to bytes, last token first.
+/// Writes the tokens of a plane, last token first.
 pub(super) struct TokenWriter {
     state: u32,
     words: Vec<u16>,
@@ -299,7 +302,7 @@ impl TokenWriter {
     }
 }
 
-/// Bits on their way to bytes, lowest first.
+/// Writes bits, lowest first.
 #[derive(Default)]
 pub(super) struct BitWriter {
     bytes: Vec<u8>,
@@ -308,7 +311,7 @@ pub(super) struct BitWriter {
 }
 
 impl BitWriter {
-    /// Appends the low `count` bits, at most 32, of a number that has no others.
+    /// Appends the low `count` bits of a number, at most 32. Its other bits must be zero.
     #[inline]
     pub(super) fn push(&mut self, bits: u32, count: u32) {
         self.pending |= u64::from(bits) << self.num_pending;
@@ -320,8 +323,8 @@ impl BitWriter {
         }
     }
 
-    /// Appends frequencies: the last token that occurs, then of each before it the class (bits without leading zeros)
-    /// and the bits below the highest. The last one is what is left.
+    /// Appends frequencies: the last token that occurs, then for each token before it the length in bits and the bits
+    /// below the highest. The last frequency follows from the sum.
     pub(super) fn frequencies(&mut self, frequencies: &Frequencies) {
         let last = last_token(frequencies);
         self.push(last as u32, TOKEN_BITS);
@@ -334,7 +337,7 @@ impl BitWriter {
         }
     }
 
-    /// Appends the bits to `bytes`, filled up with zeros to whole bytes, and begins again.
+    /// Appends the bits to `bytes`, padded with zeros to whole bytes, and starts again.
     pub(super) fn finish(&mut self, bytes: &mut Vec<u8>) {
         bytes.extend_from_slice(&self.bytes);
         bytes.extend_from_slice(&self.pending.to_le_bytes()[..self.num_pending.div_ceil(8) as usize]);
@@ -343,7 +346,7 @@ impl BitWriter {
     }
 }
 
-/// Bits of bytes, lowest first; zeros after the end.
+/// Reads bits, lowest first; zeros after the end.
 #[derive(Default)]
 pub(super) struct BitReader<'a> {
     bytes: &'a [u8],
@@ -351,7 +354,7 @@ pub(super) struct BitReader<'a> {
 }
 
 impl<'a> BitReader<'a> {
-    /// At the first bit.
+    /// Starts at the first bit.
     pub(super) fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0 }
     }
@@ -374,7 +377,7 @@ impl<'a> BitReader<'a> {
         self.at.div_ceil(8) == self.bytes.len()
     }
 
-    /// Inverse of [`BitWriter::frequencies`], or what is wrong.
+    /// Inverse of [`BitWriter::frequencies`]. The error says what is wrong.
     pub(super) fn frequencies(&mut self) -> Result<Frequencies, &'static str> {
         let mut frequencies = [0; TOKENS];
         let last = self.take(TOKEN_BITS) as usize;
@@ -403,7 +406,7 @@ fn last_word(bytes: &[u8], byte: usize) -> u32 {
     u32::from_le_bytes(std::array::from_fn(|i| bytes.get(byte + i).copied().unwrap_or(0)))
 }
 
-/// The numbers of a plane, read from its tokens and raw bits.
+/// Reads the numbers of a plane from its tokens and raw bits.
 pub(super) struct TokenStream<'a> {
     state: u32,
     words: &'a [[u8; 2]],
@@ -412,14 +415,14 @@ pub(super) struct TokenStream<'a> {
 }
 
 impl Default for TokenStream<'_> {
-    /// Without numbers.
+    /// A reader without numbers.
     fn default() -> Self {
         Self { state: LEAST_STATE, words: &[], at: 0, raw: BitReader::default() }
     }
 }
 
 impl<'a> TokenStream<'a> {
-    /// At the first number. `tokens` is what [`TokenWriter::finish`] gave, `raw` what [`BitWriter::finish`] did.
+    /// Starts at the first number. `tokens` comes from [`TokenWriter::finish`], `raw` from [`BitWriter::finish`].
     pub(super) fn new(tokens: &'a [u8], raw: &'a [u8]) -> Self {
         let (state, words) = tokens.split_first_chunk().unwrap_or((&[0; 4], &[]));
         let (words, odd) = words.as_chunks();
@@ -443,7 +446,7 @@ impl<'a> TokenStream<'a> {
         (least & LEAST_NUMBER) + self.raw.take(least >> NUMBER_BITS)
     }
 
-    /// Of [`NUMBERS`] that of the next token.
+    /// The next token's entry of [`NUMBERS`].
     #[inline(always)]
     fn token(&mut self, table: &DecodeTable) -> u32 {
         let bucket = (self.state >> BUCKET_BITS) as usize % TOKENS;
@@ -459,7 +462,7 @@ impl<'a> TokenStream<'a> {
         number
     }
 
-    /// Whether an encoder's stream ends here.
+    /// Whether an encoder's stream would end here.
     pub(super) fn ended(&self) -> bool {
         self.state == LEAST_STATE && self.at == self.words.len() && self.raw.ended()
     }

@@ -1,45 +1,45 @@
-//! The two rows of lists that predictions use: the one that is coded and the one above it.
+//! The two rows of lists that predictions use: the coded one and the one above it.
 //!
-//! Segments of both rows have numbers in one space. Behind each list are two segments of nothing, and so are
-//! the first two of the space, which stand for an empty list: a walk along a list needs no other end, and neither walks
-//! nor choices between neighbours need branches.
+//! Segments of both rows share one array. Two empty segments follow each list, so a walk along a list ends there
+//! without another test. The first two entries of the array are empty, too, and stand for an empty list. So neither
+//! walks nor choices between neighbours need branches.
 
 use super::quantize::Code;
 use super::scale::{LEAST_LOG_EXTINCTION, Scale};
 
-/// What a segment holds, quantised.
+/// Quantised matter of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(align(16))]
 pub(super) struct SegmentCodes {
     pub(super) c: [u16; 3],
     pub(super) tau: u8,
-    /// log₂ of the extinction, which follows from τ and the depths: that of τ less that of the thickness.
+    /// log₂ of the extinction: that of τ minus that of the thickness.
     pub(super) log_extinction: i16,
-    /// 1/√α ([`Scale::inverse_sqrt_alpha`]), which follows from τ.
+    /// 1/√α ([`Scale::inverse_sqrt_alpha`]).
     pub(super) inverse_sqrt_alpha: u32,
 }
 
-/// Where a segment is, and the segments that it is expected to be like.
+/// Place of a segment, and the like segments that predict it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Neighbors {
     pub(super) slot: u32,
     pub(super) like: [u32; 2],
     pub(super) thickness: u16,
-    /// 0 if two neighbours are like it, else 9 for one twice, 10 for the one before it twice, 11 for none.
+    /// 0 for two like neighbours, 9 for one that counts twice, 10 for the previous segment twice, 11 for none.
     pub(super) kind: u8,
     pub(super) is_first: bool,
 }
 
-/// What a segment's green tells of red and blue.
+/// What the green channel of a segment says about red and blue.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ColorRatio {
-    /// How many times brighter it is than the two that it is expected to be like, in 2⁻¹⁶.
+    /// Its brightness over that of each like segment, in 2⁻¹⁶.
     pub(super) times: [u32; 2],
-    /// Green as it is by green as it was expected, in 2⁻¹².
+    /// Green over its prediction, in 2⁻¹².
     pub(super) turned_out: u32,
-    /// The number that green was coded as.
+    /// The coded number of green.
     pub(super) coded: u16,
-    /// 8 if there are not two neighbours, else 0.
+    /// 0 with two like neighbours, otherwise 8.
     pub(super) alone: u16,
 }
 
@@ -48,21 +48,21 @@ pub(super) struct ListRows {
     /// Front in the low, back in the high 16 bits; [`NOTHING`] for none.
     pub(super) depths: Vec<u32>,
     pub(super) matters: Vec<SegmentCodes>,
-    /// Those of the row that is coded, in order.
+    /// Neighbours of the segments in the coded row, in order.
     pub(super) links: Vec<Neighbors>,
-    /// The same.
+    /// Colour ratios of the same segments.
     pub(super) tints: Vec<ColorRatio>,
-    /// Number of the first segment of each list, above and of the row that is coded; 0 for an empty list.
+    /// Index of the first segment of each list in the row above and in the coded row; 0 for an empty list.
     pub(super) above: Vec<u32>,
     pub(super) own: Vec<u32>,
-    /// Numbers of a row.
+    /// Number of entries for a row.
     capacity: usize,
-    /// First number of the row that is coded.
+    /// Index of the first entry of the coded row.
     first: usize,
 }
 
 impl ListRows {
-    /// For rows of such lists, `width` to a row, beginning above the first one.
+    /// Makes rows for lists with these lengths, `width` in a row. It starts above the first row.
     pub(super) fn new(scale: &Scale, counts: &[u8], width: usize) -> Self {
         let of_list = |&count: &u8| if count > 0 { usize::from(count) + SPACE } else { 0 };
         let of_row = |row: &[u8]| row.iter().map(of_list).sum();
@@ -85,7 +85,7 @@ impl ListRows {
         }
     }
 
-    /// Goes on to the next row, with lists of such lengths.
+    /// Moves on to the next row, with lists of these lengths.
     pub(super) fn advance(&mut self, counts: &[u8]) {
         std::mem::swap(&mut self.above, &mut self.own);
         self.first = 2 * SPACE + self.capacity - self.first;
@@ -104,7 +104,7 @@ impl ListRows {
         self.tints.resize(num_segments, ColorRatio::default());
     }
 
-    /// Puts segments, one list after the other, in the row.
+    /// Puts the segments of all lists into the row.
     pub(super) fn fill(&mut self, counts: &[u8], mut codes: &[Code]) {
         for (&start, &count) in self.own.iter().zip(counts) {
             let (list, rest) = codes.split_at(count.into());
@@ -119,7 +119,7 @@ impl ListRows {
     }
 }
 
-/// Depths of no segment: farther than any.
+/// Depths of an empty segment: farther than any.
 pub(super) const NOTHING: u32 = u32::MAX;
-/// Segments of nothing behind each list.
+/// Number of empty segments behind each list.
 const SPACE: usize = 2;

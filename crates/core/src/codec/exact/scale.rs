@@ -1,20 +1,21 @@
-//! The scales that colour and optical depth are quantised on. Decoding uses exact arithmetic only, so every machine
-//! decodes the same half floats.
+//! Scales of quantised colour and optical depth. Decoding uses exact arithmetic only, so every machine decodes the
+//! same half floats.
 //!
-//! Colour: C = [`COLOR_MAX`]·(q/M)², M = 1023. The square is close to sRGB's curve but finer in the dark, where
-//! the many thin segments are. A code has 10 bits: a step is at most 0.45 of a step of an 8-bit sRGB picture. With 8 bits it
-//! would be more than a whole one.
+//! Colour: C = [`COLOR_MAX`]·(q/M)², M = 1023. The square is close to sRGB's curve but finer in the dark, where the
+//! many thin segments are. A code has 10 bits, so a step is at most 0.45 of a step of an 8-bit sRGB picture. With 8
+//! bits it would be more than a whole one.
 //!
-//! Optical depth, 8 bits: τ = 8·(q/200)³ up to q = 200: fine where the opacity depends on it. Above, 8 steps
-//! an octave (τ = 2^(3 + e)·(1 + m/8), 8e + m = q − 200): a relative error, as e^−8 is nothing in the picture but a part of
-//! such a segment is not. q = 255 is [`TAU_MAX`]. Only τ = 0 is coded as 0: a segment with colour keeps an extinction.
+//! Optical depth has 8 bits. Up to q = 200, τ = 8·(q/200)³, which is fine where the opacity depends on τ. Above,
+//! there are 8 steps an octave: τ = 2^(3 + e)·(1 + m/8), with 8e + m = q − 200. A relative error suffices there: e^−8
+//! is invisible, but a part of such a segment is not. q = 255 is [`TAU_MAX`]. Only τ = 0 has code 0, so a segment
+//! with colour keeps an extinction.
 
 use std::sync::LazyLock;
 
 use super::super::portable_math::exp_neg;
 use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
 
-/// The tables. `color` and `tau` are what a decoder gives: rounded to half floats.
+/// The tables. `color` and `tau` are decoded values, rounded to half floats.
 pub(super) struct Scale {
     pub(super) color: Vec<f32>,
     pub(super) color_half: Vec<u16>,
@@ -26,17 +27,18 @@ pub(super) struct Scale {
     sqrt_alpha: [u32; 256],
     /// 1/√(1 − e^−τ) of the codes, in 2⁻¹²; that of 0 is guarded.
     inverse_sqrt_alpha: [u32; 256],
-    /// log₂ of the codes in steps of 1/[`LOG_STEPS`]; that of 0 is an octave below that of 1.
+    /// log₂ of the codes' optical depths in steps of 1/[`LOG_STEPS`]; that of code 0 is an octave below that of code
+    /// 1.
     log_tau: [i16; 256],
-    /// The code whose logarithm is nearest, from [`LEAST_LOG_EXTINCTION`] on.
+    /// The code with the nearest logarithm, from [`LEAST_LOG_EXTINCTION`] on.
     code_from_log: Box<[u8; NUM_LOGS]>,
-    /// Half-way between a code and the next; nothing is beyond the last.
+    /// Half-way between a code and the next; infinite for the last.
     tau_limits: [f32; 256],
-    /// A code not above the nearest one, for each value of a float's upper bits.
+    /// For each value of a float's upper bits, a code that is not above the nearest one.
     tau_seeds: Vec<u8>,
 }
 
-/// The only one.
+/// The only instance.
 pub(super) fn scale() -> &'static Scale {
     static SCALE: LazyLock<Scale> = LazyLock::new(Scale::new);
     &SCALE
@@ -82,8 +84,8 @@ impl Scale {
         }
     }
 
-    /// How many times the colour code of matter of one optical depth is that of the same matter of another, √(α'/α), in
-    /// 2⁻¹⁶ and at most 16, from 1/√α and the code of that other depth.
+    /// √(α'/α), the ratio of the colour codes of one matter at two optical depths, in 2⁻¹⁶ and at most 16. Takes 1/√α
+    /// and the code of the optical depth with opacity α'.
     pub(super) fn times(&self, inverse_sqrt_alpha: u32, to: u8) -> u32 {
         let times = u64::from(inverse_sqrt_alpha) * u64::from(self.sqrt_alpha[usize::from(to)]);
         (times >> 12).min(16 << 16) as u32
@@ -94,22 +96,22 @@ impl Scale {
         self.inverse_sqrt_alpha[usize::from(tau)]
     }
 
-    /// log₂ of a code of optical depth in steps of 1/128; less that of a thickness, it is that of the extinction.
+    /// log₂ of a code's optical depth in steps of 1/128. Minus that of a thickness, it is that of the extinction.
     pub(super) fn log_tau(&self, tau: u8) -> i16 {
         self.log_tau[usize::from(tau)]
     }
 
-    /// The code of the optical depth with such a logarithm.
+    /// The code of the optical depth with this logarithm.
     pub(super) fn tau_from_log(&self, log: i16) -> u8 {
         self.code_from_log[usize::from((log - LEAST_LOG_EXTINCTION) as u16) % NUM_LOGS]
     }
 
-    /// Nearest code of a colour channel on the square-root scale; colours above [`COLOR_MAX`] are clamped.
+    /// Nearest code of a colour channel. Colours above [`COLOR_MAX`] are clamped.
     pub(super) fn color_code(&self, c: f32) -> u16 {
         ((c * (1.0 / COLOR_MAX)).clamp(0.0, 1.0).sqrt() * f32::from(MAX_COLOR_CODE) + 0.5) as u16
     }
 
-    /// Nearest code of an optical depth, but never 0 for one that is not.
+    /// Nearest code of an optical depth; at least 1 for a positive one.
     pub(super) fn tau_code(&self, tau: f32) -> u8 {
         let mut q = self.tau_seeds[(tau.max(0.0).to_bits() >> SEED_SHIFT) as usize];
         while self.tau_limits[usize::from(q)] < tau {
@@ -127,7 +129,8 @@ fn tau_from_code(q: u32) -> f64 {
     }
 }
 
-/// log₂ of a positive number in steps of 1/[`LOG_STEPS`], rounded down. By squaring: libraries differ in the last bit.
+/// log₂ of a positive number in steps of 1/[`LOG_STEPS`], rounded down. It squares, because libraries differ in the
+/// last bit.
 const fn log2_steps(x: f32) -> i16 {
     let mut exponent = 0;
     let mut mantissa = x as f64;
@@ -152,7 +155,7 @@ const fn log2_steps(x: f32) -> i16 {
     log
 }
 
-/// [`log2_steps`] of a thickness to 8 bits; 0 counts as 1.
+/// [`log2_steps`] of a thickness, which is rounded to 8 bits; 0 counts as 1.
 pub(super) fn log_thickness(thickness: u16) -> i16 {
     let exponent = 15 - thickness.max(1).leading_zeros() as i16;
     let mantissa = (thickness << (15 - exponent)) >> 7;
@@ -179,19 +182,20 @@ fn value(half: u16) -> f32 {
 
 /// Greatest code of a colour channel.
 pub(super) const MAX_COLOR_CODE: u16 = 1023;
-/// Greatest colour that is kept. Shading can lift a colour a little above one.
+/// Greatest colour. Shading can lift a colour a little above one.
 pub(super) const COLOR_MAX: f32 = 1.25;
 /// Guards the division by the opacity of an empty segment.
 const LEAST_SQRT_ALPHA: f64 = 1e-4;
-/// Lower bits of a float that the first guess at a code of τ leaves out: 32 guesses an octave.
+/// Number of low bits of a float that the first guess at a code of τ ignores: 32 guesses an octave.
 const SEED_SHIFT: u32 = 18;
 
-/// Steps of a logarithm in an octave: a step of τ is at least two of them.
+/// Steps of a logarithm in an octave. A step of τ is at least two of them.
 const LOG_STEPS: i16 = 128;
-/// Logarithm of the extinction of the least τ on the greatest thickness, rounded down; a τ of 0 is an octave below.
+/// Logarithm of the least extinction, rounded down: the least τ over the greatest thickness, an octave lower for τ =
+/// 0.
 pub(super) const LEAST_LOG_EXTINCTION: i16 = (-20 - 1 - 16) * LOG_STEPS;
-/// Logarithms from there to that of the greatest τ, 10 octaves, on 16 octaves of thickness: a power of two, so that no
-/// place is outside.
+/// Number of logarithms from there on: 10 octaves of τ and 16 octaves of thickness. It is a power of two, so a masked
+/// index is never outside.
 const NUM_LOGS: usize = 64 * LOG_STEPS as usize;
 
 #[cfg(test)]

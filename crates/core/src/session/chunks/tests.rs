@@ -8,8 +8,7 @@ fn place(frame: u32, index: u16) -> ChunkPlace {
         frame: FrameId(frame),
         pose: PoseId(frame * 10),
         index: ChunkIndex(index),
-        num_chunks: 4,
-        num_base_chunks: 2,
+        num_chunks: 3,
         prediction: None,
     }
 }
@@ -18,8 +17,13 @@ fn arrive(s: &mut ChunksClient, now: u64, frame: u32, index: u16) -> Result<(), 
     s.handle_chunk(now, now, place(frame, index), vec![index as u8; 3])
 }
 
+/// All chunks of an exact frame arrive at 0.
+fn whole(s: &mut ChunksClient, frame: u32) {
+    (0..3).for_each(|index| arrive(s, 0, frame, index).unwrap());
+}
+
 #[test]
-fn a_frame_is_decoded_at_its_base_and_at_its_end() {
+fn a_frame_is_decoded_once_all_its_chunks_are_there() {
     let mut s = ChunksClient::default();
     s.handle_connected();
     s.handle_pose(5, PoseId(10));
@@ -27,23 +31,17 @@ fn a_frame_is_decoded_at_its_base_and_at_its_end() {
         arrive(&mut s, now, 1, index).unwrap();
         assert!(s.poll_decode(now).is_none());
     }
+    assert_eq!(s.newest_complete(), None);
     arrive(&mut s, 12, 1, 0).unwrap();
-    let job = s.poll_decode(12).unwrap();
-    assert_eq!((job.is_first, job.is_last, job.chunks.len()), (true, false, 3));
-    assert!(s.poll_decode(12).is_none());
-    let times = s.handle_decoded(15, job.connection, job.frame, false).unwrap();
-    assert_eq!(
-        [Stage::Asked, Stage::FirstByteReceived, Stage::Received].map(|s| times.at(s)),
-        [Some(5), Some(10), Some(12)]
-    );
-    arrive(&mut s, 20, 1, 3).unwrap();
-    let job = s.poll_decode(20).unwrap();
-    assert_eq!((job.is_first, job.is_last, job.chunks.len()), (false, true, 1));
-    let times = s.handle_decoded(21, job.connection, job.frame, true).unwrap();
-    assert_eq!(
-        (times.at(Stage::Whole), times.at(Stage::WholeDecoded), times.bytes),
-        (Some(20), Some(21), 12)
-    );
+    assert_eq!(s.newest_complete(), Some(FrameId(1)));
+    let job = s.poll_decode(13).unwrap();
+    assert_eq!((job.frame, job.chunks.len()), (FrameId(1), 3));
+    assert!(s.poll_decode(13).is_none());
+    let life = s.handle_decoded(15, job.connection, job.frame).unwrap();
+    let stages =
+        [Stage::Asked, Stage::FirstByteReceived, Stage::Received, Stage::DecodingBegun, Stage::Decoded];
+    assert_eq!(stages.map(|s| life.at(s)), [5, 10, 12, 13, 15].map(Some));
+    assert_eq!(life.bytes, 9);
     s.handle_shown(30, FrameId(1));
     s.handle_shown(40, FrameId(1));
     assert_eq!(s.ledger().get(FrameId(1)).unwrap().at(Stage::Shown), Some(30));
@@ -51,53 +49,26 @@ fn a_frame_is_decoded_at_its_base_and_at_its_end() {
 }
 
 #[test]
-fn a_base_waits_for_its_refinements_while_they_keep_up() {
-    let mut s = ChunksClient::default();
-    s.handle_connected();
-    let arrives = |s: &mut ChunksClient, now, frame, indices: &[u16]| {
-        indices.iter().for_each(|i| arrive(s, now, frame, *i).unwrap());
-        let job = s.poll_decode(now)?;
-        s.handle_decoded(now, job.connection, job.frame, job.is_last);
-        Some((job.frame.0, job.is_last))
-    };
-    // The first picture does not wait.
-    assert_eq!(arrives(&mut s, 0, 1, &[0, 1]), Some((1, false)));
-    assert_eq!(arrives(&mut s, 1, 1, &[2, 3]), Some((1, true)));
-    // The second does, until it is complete.
-    assert_eq!(arrives(&mut s, 10, 2, &[0, 1]), None);
-    assert_eq!(s.hold_until(), Some(10 + HOLD_MICROS));
-    assert_eq!(arrives(&mut s, 20, 2, &[2, 3]), Some((2, true)));
-    // Or until it has waited long enough.
-    assert_eq!(arrives(&mut s, 30, 3, &[0, 1]), None);
-    assert_eq!(arrives(&mut s, 30 + HOLD_MICROS, 3, &[]), Some((3, false)));
-    assert_eq!(s.hold_until(), None);
-    // Once refinements fall behind, bases are shown at once: none is ever passed over for a newer one that waits.
-    assert_eq!(arrives(&mut s, 300_000, 4, &[0, 1]), Some((4, false)));
-    assert_eq!(arrives(&mut s, 300_001, 5, &[0, 1]), Some((5, false)));
-    // Until they keep up again.
-    assert_eq!(arrives(&mut s, 300_002, 5, &[2, 3]), Some((5, true)));
-    assert_eq!(arrives(&mut s, 300_003, 6, &[0, 1]), None);
-}
-
-#[test]
 fn chunks_that_contradict_are_errors_and_late_ones_are_dropped() {
     let mut s = ChunksClient::default();
     let bad = [
-        ChunkPlace { num_chunks: 17, ..place(1, 0) },
-        ChunkPlace { num_base_chunks: 0, ..place(1, 0) },
-        ChunkPlace { num_base_chunks: 5, ..place(1, 0) },
-        place(1, 4),
+        ChunkPlace { num_chunks: MAX_CHUNKS as u16 + 1, ..place(1, 0) },
+        ChunkPlace { num_chunks: 0, ..place(1, 0) },
+        place(1, 3),
     ];
     for p in bad {
         assert_eq!(s.handle_chunk(0, 0, p, vec![]), Err(ChunkError::Place(p)));
     }
     arrive(&mut s, 0, 2, 0).unwrap();
     assert_eq!(arrive(&mut s, 0, 2, 0), Err(ChunkError::Twice(FrameId(2), ChunkIndex(0))));
-    let other = ChunkPlace { num_base_chunks: 1, ..place(2, 1) };
+    let other = ChunkPlace { num_chunks: 2, ..place(2, 1) };
     assert_eq!(s.handle_chunk(0, 0, other, vec![]), Err(ChunkError::Disagree(FrameId(2))));
-    arrive(&mut s, 0, 2, 1).unwrap();
     arrive(&mut s, 0, 1, 0).unwrap();
-    assert_eq!(s.assembling.len(), 1, "frame 1 is older than a complete base");
+    assert_eq!(s.assembling.len(), 2, "the control: frame 2 is not complete yet");
+    arrive(&mut s, 0, 2, 1).unwrap();
+    arrive(&mut s, 0, 2, 2).unwrap();
+    arrive(&mut s, 0, 1, 1).unwrap();
+    assert_eq!(s.assembling.len(), 1, "frame 1 is older than a complete frame");
     assert!(!s.wants(FrameId(1), false) && s.wants(FrameId(2), false));
 }
 
@@ -111,11 +82,11 @@ fn any_order_of_arrival_keeps_the_bounds_and_never_goes_back() {
     };
     let mut s = ChunksClient::default();
     s.handle_connected();
-    let (mut shown, mut jobs, mut fulls) = (FrameId(0), 0, 0);
+    let (mut shown, mut jobs) = (FrameId(0), 0);
     let mut in_flight: Vec<(u32, u16)> = vec![];
     for now in 0..20_000u64 {
-        if now % 4 == 0 {
-            in_flight.extend((0..4).map(|i| (now as u32 / 4 + 1, i)));
+        if now % 3 == 0 {
+            in_flight.extend((0..3).map(|i| (now as u32 / 3 + 1, i)));
         }
         let newest = in_flight.len().saturating_sub(24);
         in_flight.drain(..newest.min(random(2) as usize * newest));
@@ -124,14 +95,13 @@ fn any_order_of_arrival_keeps_the_bounds_and_never_goes_back() {
         assert!(s.assembling.len() <= MAX_ASSEMBLING);
         assert!(s.ledger.iter().count() <= MAX_LIVES);
         while let Some(job) = s.poll_decode(now) {
-            assert!(job.frame > shown || job.frame == shown && !job.is_first);
+            assert!(job.frame > shown && job.chunks.len() == 3);
             shown = job.frame;
             jobs += 1;
-            fulls += u32::from(job.is_last);
-            assert!(s.handle_decoded(now, job.connection, job.frame, job.is_last).is_some());
+            assert!(s.handle_decoded(now, job.connection, job.frame).is_some());
         }
     }
-    assert!(jobs > 500 && fulls > 50, "{jobs} {fulls}");
+    assert!(jobs > 500, "{jobs}");
 }
 
 #[test]
@@ -140,13 +110,12 @@ fn predicted_frames_wait_for_what_they_name() {
     s.handle_connected();
     let arrive = |s: &mut ChunksClient, frame: u32, reference: u32| {
         let prediction = Some(Prediction { reference: (reference > 0).then_some(FrameId(reference)) });
-        let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
+        let place = ChunkPlace { num_chunks: 1, prediction, ..place(frame, 0) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
     let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
-        assert!(job.is_first && job.is_last);
-        s.handle_decoded(0, job.connection, job.frame, true);
+        s.handle_decoded(0, job.connection, job.frame);
         Some(job.frame.0)
     };
     // Frame 3 names 2, which is on its way: none but 1 can be shown.
@@ -185,12 +154,12 @@ fn predicted_frames_wait_for_what_they_name() {
 fn an_exact_frame_comes_after_the_references_before_it() {
     let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
-        s.handle_decoded(0, job.connection, job.frame, job.is_last);
+        s.handle_decoded(0, job.connection, job.frame);
         Some(job.frame.0)
     };
     let arrive = |s: &mut ChunksClient, frame: u32, index: u16, prediction: Option<Option<u32>>| {
         let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
-        let place = ChunkPlace { num_chunks: 2, num_base_chunks: 2, prediction, ..place(frame, index) };
+        let place = ChunkPlace { num_chunks: 2, prediction, ..place(frame, index) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
     let whole = |s: &mut ChunksClient, frame: u32, prediction| {
@@ -226,7 +195,7 @@ fn an_exact_frame_comes_after_the_references_before_it() {
     let job = s.poll_decode(0).unwrap();
     whole(&mut s, 3, None);
     assert!(s.poll_decode(0).is_none());
-    s.handle_decoded(0, job.connection, job.frame, job.is_last);
+    s.handle_decoded(0, job.connection, job.frame);
     assert_eq!((decode(&mut s), decode(&mut s)), (Some(3), None));
     whole(&mut s, 4, Some(Some(2)));
     assert_eq!(decode(&mut s), Some(4));
@@ -247,12 +216,12 @@ fn what_an_exact_frame_has_overtaken_is_decoded_for_those_that_name_it() {
     s.handle_connected();
     let whole = |s: &mut ChunksClient, frame: u32, prediction: Option<Option<u32>>| {
         let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
-        let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
+        let place = ChunkPlace { num_chunks: 1, prediction, ..place(frame, 0) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
     let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
-        let is_shown = s.handle_decoded(0, job.connection, job.frame, job.is_last).is_some();
+        let is_shown = s.handle_decoded(0, job.connection, job.frame).is_some();
         Some((job.frame.0, is_shown))
     };
     whole(&mut s, 1, Some(None));
@@ -284,12 +253,12 @@ fn the_rest_of_a_frame_that_was_dropped_stands_in_nobodys_way() {
     s.handle_connected();
     let chunk = |s: &mut ChunksClient, frame: u32, index: u16, num: u16, prediction: Option<Option<u32>>| {
         let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
-        let place = ChunkPlace { num_chunks: num, num_base_chunks: num, prediction, ..place(frame, index) };
+        let place = ChunkPlace { num_chunks: num, prediction, ..place(frame, index) };
         s.handle_chunk(0, 0, place, vec![]).unwrap();
     };
     let decode = |s: &mut ChunksClient| {
         let job = s.poll_decode(0)?;
-        let is_shown = s.handle_decoded(0, job.connection, job.frame, job.is_last).is_some();
+        let is_shown = s.handle_decoded(0, job.connection, job.frame).is_some();
         Some((job.frame.0, is_shown))
     };
     chunk(&mut s, 1, 0, 1, Some(None));
@@ -306,41 +275,6 @@ fn the_rest_of_a_frame_that_was_dropped_stands_in_nobodys_way() {
     assert_eq!(decode(&mut s), Some((5, true)));
 }
 
-/// The exact frame has its base only: its refinements are waited for, but not beside a newer frame that needs the
-/// late one.
-#[test]
-fn a_late_reference_is_decoded_behind_refinements_or_in_place_of_them() {
-    let mut s = ChunksClient::default();
-    s.handle_connected();
-    let chunk =
-        |s: &mut ChunksClient, frame: u32, index: u16, num_chunks: u16, prediction: Option<Option<u32>>| {
-            let prediction = prediction.map(|r| Prediction { reference: r.map(FrameId) });
-            let place = ChunkPlace { num_chunks, num_base_chunks: 1, prediction, ..place(frame, index) };
-            s.handle_chunk(0, 0, place, vec![]).unwrap();
-        };
-    let decode = |s: &mut ChunksClient| {
-        let job = s.poll_decode(1_000_000)?;
-        s.handle_decoded(0, job.connection, job.frame, job.is_last);
-        Some((job.frame.0, job.is_first, job.is_last))
-    };
-    chunk(&mut s, 1, 0, 1, Some(None));
-    chunk(&mut s, 3, 0, 2, None);
-    assert_eq!([decode(&mut s), decode(&mut s)], [Some((1, true, true)), Some((3, true, false))]);
-    chunk(&mut s, 2, 0, 1, Some(Some(1)));
-    assert_eq!(decode(&mut s), None);
-    chunk(&mut s, 3, 1, 2, None);
-    assert_eq!([decode(&mut s), decode(&mut s)], [Some((3, false, true)), Some((2, true, true))]);
-    // The same, and 6 is there.
-    chunk(&mut s, 5, 0, 2, None);
-    assert_eq!(decode(&mut s), Some((5, true, false)));
-    chunk(&mut s, 4, 0, 1, Some(Some(2)));
-    chunk(&mut s, 6, 0, 1, Some(Some(4)));
-    assert_eq!(decode(&mut s), Some((4, true, true)));
-    // What refines 5 is no picture by itself.
-    chunk(&mut s, 5, 1, 2, None);
-    assert_eq!([decode(&mut s), decode(&mut s)], [Some((6, true, true)), None]);
-}
-
 /// While a lost packet is sent again, as many frames come as may be predicted from each other. None of them is lost.
 #[test]
 fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
@@ -348,7 +282,7 @@ fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
     s.handle_connected();
     let arrive = |s: &mut ChunksClient, frame: u32, num_bytes: usize| {
         let prediction = Some(Prediction { reference: (frame > 1).then(|| FrameId(frame - 1)) });
-        let place = ChunkPlace { num_chunks: 1, num_base_chunks: 1, prediction, ..place(frame, 0) };
+        let place = ChunkPlace { num_chunks: 1, prediction, ..place(frame, 0) };
         s.handle_chunk(0, 0, place, vec![0; num_bytes]).unwrap();
     };
     let last = MAX_ASSEMBLING as u32;
@@ -358,7 +292,7 @@ fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
     for frame in 1..=last {
         let job = s.poll_decode(0).unwrap();
         assert_eq!(job.frame, FrameId(frame));
-        s.handle_decoded(0, job.connection, job.frame, true);
+        s.handle_decoded(0, job.connection, job.frame);
     }
     // Bytes are bounded whatever their number.
     (last + 2..last + 6).for_each(|frame| arrive(&mut s, frame, MAX_ASSEMBLING_BYTES / 3));
@@ -370,18 +304,15 @@ fn what_was_held_up_is_waited_for_as_long_as_others_may_be_predicted_from_it() {
 fn a_broken_frame_does_not_stand_in_the_way() {
     let mut s = ChunksClient::default();
     s.handle_connected();
-    for (frame, index) in [(1, 0), (1, 1), (1_000_000, 0), (1_000_000, 1)] {
-        arrive(&mut s, 0, frame, index).unwrap();
-        if let Some(job) = s.poll_decode(0) {
-            match frame {
-                1 => drop(s.handle_decoded(0, job.connection, job.frame, false)),
-                _ => s.handle_broken(job.connection, job.frame),
-            }
-        }
-    }
+    whole(&mut s, 1);
+    let job = s.poll_decode(0).unwrap();
+    s.handle_decoded(0, job.connection, job.frame);
+    whole(&mut s, 1_000_000);
+    let job = s.poll_decode(0).unwrap();
+    assert_eq!((job.frame, s.newest_complete()), (FrameId(1_000_000), Some(FrameId(1_000_000))));
+    s.handle_broken(job.connection, job.frame);
     assert_eq!(s.newest_complete(), Some(FrameId(1)));
-    arrive(&mut s, 0, 2, 0).unwrap();
-    arrive(&mut s, 0, 2, 1).unwrap();
+    whole(&mut s, 2);
     assert_eq!(s.poll_decode(0).unwrap().frame, FrameId(2));
 }
 
@@ -389,54 +320,49 @@ fn a_broken_frame_does_not_stand_in_the_way() {
 fn a_new_connection_starts_its_frames_again() {
     let mut s = ChunksClient::default();
     s.handle_connected();
-    arrive(&mut s, 0, 50, 0).unwrap();
-    arrive(&mut s, 0, 50, 1).unwrap();
+    whole(&mut s, 50);
     let old = s.poll_decode(0).unwrap();
     s.handle_connected();
-    assert!(s.handle_decoded(1, old.connection, old.frame, false).is_none());
+    assert!(s.handle_decoded(1, old.connection, old.frame).is_none());
     assert_eq!(s.newest_complete(), None);
     for _ in 0..2 {
-        // All of frame 1, which is new on every connection.
-        for index in 0..4 {
-            arrive(&mut s, 2, 1, index).unwrap();
-        }
+        // Frame 1 is new on every connection.
+        whole(&mut s, 1);
         let job = s.poll_decode(2).unwrap();
-        assert_eq!((job.frame, job.is_last), (FrameId(1), true));
-        assert!(s.handle_decoded(3, job.connection, job.frame, true).is_some());
+        assert_eq!(job.frame, FrameId(1));
+        assert!(s.handle_decoded(3, job.connection, job.frame).is_some());
         assert!(arrive(&mut s, 4, 1, 0).is_err());
         s.handle_connected();
     }
 }
 
 #[test]
-fn a_base_outlives_newer_frames_until_one_of_them_is_complete() {
+fn a_frame_outlives_newer_ones_until_one_of_them_is_complete() {
     let mut s = ChunksServer::default();
     for n in 1..100 {
-        s.handle_base_handed(FrameId(n));
-        assert!(!s.is_superseded(FrameId(1), true), "frame 1 is all that may ever arrive");
-        assert_eq!(s.is_superseded(FrameId(1), false), n > 1);
-        assert!(!s.is_superseded(FrameId(n), false));
+        s.handle_handed(FrameId(n));
+        assert!(!s.is_superseded(FrameId(1)), "frame 1 is all that may ever arrive");
     }
-    s.handle_base_delivered(FrameId(40));
+    s.handle_delivered(FrameId(40));
     for n in 1..100 {
-        assert_eq!(s.is_superseded(FrameId(n), true), n < 40);
+        assert_eq!(s.is_superseded(FrameId(n)), n < 40);
     }
 }
 
 #[test]
 fn a_claim_of_frames_never_sent_does_not_stop_the_newest() {
     let mut s = ChunksServer::default();
-    s.handle_base_handed(FrameId(5));
+    s.handle_handed(FrameId(5));
     s.handle_report(FrameId(u32::MAX), true);
     assert_eq!((s.newest_complete(), s.reported()), (FrameId(5), FrameId(5)));
-    s.handle_base_handed(FrameId(6));
-    assert!(!s.is_superseded(FrameId(6), true));
+    s.handle_handed(FrameId(6));
+    assert!(!s.is_superseded(FrameId(6)));
 }
 
 #[test]
 fn what_the_newest_pose_reports_may_go_back() {
     let mut s = ChunksServer::default();
-    s.handle_base_handed(FrameId(9));
+    s.handle_handed(FrameId(9));
     for (named, is_newest, reported) in
         [(5, true, 5), (7, true, 7), (4, false, 7), (6, true, 6), (5, true, 5)]
     {
@@ -448,20 +374,20 @@ fn what_the_newest_pose_reports_may_go_back() {
 
 #[test]
 fn priorities_never_mix_ranks() {
-    use Rank::{Base, Predicting, Refinement};
+    use Rank::{Finer, Independent, Predicting};
     for n in [1u32, 2, 1_000_000, 0x01ff_fffe] {
         let (old, new) = (FrameId(n), FrameId(n + 1));
         let p = |f, i, rank| priority(f, ChunkIndex(i), rank);
-        assert!(p(new, 0, Base) > p(old, 0, Base));
-        assert!(p(new, 15, Refinement) > p(old, 0, Refinement));
-        assert!(p(old, 0, Base) > p(old, 1, Base));
-        assert!(p(old, 15, Base) > p(new, 0, Refinement));
-        assert!(p(FrameId(0), 15, Base) > p(FrameId(FRAMES), 0, Refinement));
+        assert!(p(new, 0, Independent) > p(old, 0, Independent));
+        assert!(p(new, 15, Finer) > p(old, 0, Finer));
+        assert!(p(old, 0, Independent) > p(old, 1, Independent));
+        assert!(p(old, 15, Independent) > p(new, 0, Finer));
+        assert!(p(FrameId(0), 15, Independent) > p(FrameId(FRAMES), 0, Finer));
         // What others wait for goes before them.
         assert!(p(old, 15, Predicting) > p(new, 0, Predicting));
         assert!(p(old, 0, Predicting) > p(old, 1, Predicting));
-        assert!(p(FrameId(FRAMES), 15, Predicting) > p(FrameId(FRAMES), 0, Base));
+        assert!(p(FrameId(FRAMES), 15, Predicting) > p(FrameId(FRAMES), 0, Independent));
         assert!(p(FrameId(0), 0, Predicting) < CONTROL_PRIORITY);
-        assert!(p(FrameId(0), 15, Refinement) > SCREENSHOT_PRIORITY);
+        assert!(p(FrameId(0), 15, Finer) > SCREENSHOT_PRIORITY);
     }
 }

@@ -1,4 +1,4 @@
-//! The depth planes of a block: predicted from those of the blocks to the left and above, and coded in steps.
+//! Codes the depth planes of a block in steps, predicted from those of the blocks to the left and above.
 
 use std::ops::Range;
 
@@ -44,7 +44,7 @@ impl<C: Coder> BandCoder<'_, C> {
         }
     }
 
-    /// Codes a front (`side` 0) or back (1), predicted from the first of the neighbours' that is `behind` a depth.
+    /// Codes a front (`side` 0) or back (1). The prediction is each neighbour's first plane that is `behind` a depth.
     fn plane(
         &mut self,
         wanted: PlaneCode,
@@ -59,7 +59,7 @@ impl<C: Coder> BandCoder<'_, C> {
                 let (f, b) = (continued(f, step), continued(b, step));
                 match &front {
                     None => f,
-                    // Half way between the back itself and one that makes the layer as thick.
+                    // Half-way between the neighbour's back and one that makes the layer as thick as the neighbour's.
                     Some(own) => DepthPlane {
                         z: b.z + 0.5 * (own.z - f.z),
                         dx: b.dx + 0.5 * (own.dx - f.dx),
@@ -94,12 +94,12 @@ impl<C: Coder> BandCoder<'_, C> {
     }
 }
 
-/// The plane of a neighbour over the next block, `step` blocks rightwards and downwards.
+/// A plane continued by `step` blocks rightwards and downwards.
 pub(super) fn continued(p: &DepthPlane, step: (f32, f32)) -> DepthPlane {
     bounded(p.z + BLOCK as f32 * (step.0 * p.dx + step.1 * p.dy), p.dx, p.dy)
 }
 
-/// A plane with numbers that stay finite whatever is done to them.
+/// A plane with bounded numbers, so that all later results are finite.
 pub(super) fn bounded(z: f32, dx: f32, dy: f32) -> DepthPlane {
     let slope = |s: f32| s.clamp(-MAX_SLOPE, MAX_SLOPE);
     DepthPlane { z: z.clamp(-MAX_DEPTH, MAX_DEPTH), dx: slope(dx), dy: slope(dy) }
@@ -114,7 +114,7 @@ impl StepSizes {
 
     /// The code of the nearest plane.
     pub(in crate::codec::blocks) fn code(&self, plane: &DepthPlane) -> PlaneCode {
-        // Not by `floor`, which is a call where instructions are those of every machine.
+        // `floor` would be a function call on machines without an instruction for it.
         let nearest = |v: f32, step: f32| {
             let (code, whole) = (v / step + 0.5, (v / step + 0.5) as i32);
             whole - i32::from(whole as f32 > code)
@@ -127,7 +127,8 @@ impl StepSizes {
         }
     }
 
-    /// The codes of planes: what all but touches does, and every back is behind its front.
+    /// The codes of planes. A front that nearly touches the back before it is that back, and every back is behind its
+    /// front.
     pub(in crate::codec::blocks) fn codes(&self, planes: &[Planes], out: &mut Vec<(PlaneCode, PlaneCode)>) {
         out.clear();
         for (front, back) in planes {
@@ -142,7 +143,7 @@ impl StepSizes {
         }
     }
 
-    /// The planes that a decoder makes of codes.
+    /// The planes that a decoder makes of the codes.
     pub(in crate::codec::blocks) fn planes(&self, codes: &[(PlaneCode, PlaneCode)], out: &mut Vec<Planes>) {
         out.clear();
         out.extend(codes.iter().map(|(front, back)| (self.plane(*front), self.plane(*back))));

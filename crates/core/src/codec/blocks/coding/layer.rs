@@ -1,4 +1,4 @@
-//! A layer of a block: which of its lists have matter, and its planes of opacity and colour.
+//! Codes a layer of a block: which of its lists have matter, and its planes of opacity and colour.
 
 use std::ops::Range;
 
@@ -13,34 +13,34 @@ use super::super::transform::BlockPlane;
 use super::{BandCoder, Origin};
 use crate::kernels::raycast::opacity;
 
-/// The block that a layer is in.
+/// The block of a layer.
 pub(super) struct BlockContext {
     pub(super) x: usize,
     pub(super) y: usize,
     pub(super) origin: Origin,
     pub(super) first_layer: usize,
-    /// Layers of the block on the left and of the one above.
+    /// Layers of the left block and of the upper one.
     pub(super) neighbors: [Range<usize>; 2],
 }
 
-/// What later blocks and layers want to know of a layer.
+/// What later blocks and layers use of a layer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CodedLayer {
     pub(super) means: [f32; 4],
     pub(super) classes: [u8; 4],
-    /// The lists with matter.
+    /// Mask of the lists with matter.
     pub(super) mask: u64,
 }
 
 impl CodedLayer {
-    /// Of a layer without matter, which passes on these means.
+    /// A layer without matter, which passes on these means.
     pub(super) fn without_matter(means: [f32; 4]) -> Self {
         Self { means, classes: [0; 4], mask: 0 }
     }
 }
 
 impl<C: Coder> BandCoder<'_, C> {
-    /// Codes what is between the planes number `layer`.
+    /// Codes the matter between the planes with index `layer`.
     pub(super) fn layer(
         &mut self,
         layer: usize,
@@ -127,7 +127,7 @@ impl<C: Coder> BandCoder<'_, C> {
         let mut alphas = [0.0; BLOCK_LISTS];
         for c in 0..4 {
             if c == 1 {
-                // How much of a colour is seen is known from what is decoded.
+                // The decoded opacities tell how visible a colour is.
                 let seen = |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * alphas[i];
                 let seen = lists().map(seen).sum::<f32>() / num_lists;
                 step = self.steps.color / seen.max(SEEN_FLOOR).sqrt();
@@ -166,7 +166,7 @@ impl<C: Coder> BandCoder<'_, C> {
         coded
     }
 
-    /// Fetches what the reference has between two planes; the lists that have any.
+    /// Fetches what the reference has between two planes. Returns the mask of lists with matter.
     fn fetch(&mut self, (x, y): (usize, usize), planes: &Planes) -> Option<u64> {
         let (reference, motion) = self.reference.as_ref()?;
         let y = y + self.place.first_row;
@@ -176,7 +176,7 @@ impl<C: Coder> BandCoder<'_, C> {
         Some(self.fetched.mask)
     }
 
-    /// Number of the layer that has most depth in common with a pair of planes.
+    /// Index of the layer that shares most depth with a pair of planes.
     fn overlapping(&self, layers: Range<usize>, planes: &Planes) -> Option<usize> {
         let common = |l: usize| {
             let (front, back) = self.band.planes[l];
@@ -187,7 +187,7 @@ impl<C: Coder> BandCoder<'_, C> {
         best.map(|(_, l)| l)
     }
 
-    /// Whether the moved reference is nearer to the source than a constant is.
+    /// Whether the moved reference is closer to the source than a constant.
     fn is_inter_better(&self, sources: &[BlockPlane; 4], means: &[f32; 4], mask: u64) -> bool {
         let lists = || lists_of(mask);
         let (mut intra, mut inter) = (0.0, 0.0);
@@ -209,7 +209,7 @@ wide! {
 }
 
 wide! {
-    /// u, Y, Co, Cg of a layer's lists; those outside of `mask` mean nothing.
+    /// u, Y, Co, Cg of a layer's lists. Values outside of `mask` mean nothing.
     fn planes_of(layer: &BlockLayer, mask: u64) -> [BlockPlane; 4] = planes_of_any;
 }
 
@@ -239,10 +239,10 @@ fn planes_of_any(layer: &BlockLayer, mask: u64) -> [BlockPlane; 4] {
 
 /// Greatest source colour.
 const MAX_COLOR: f32 = 2.25;
-/// Opacity below which there is no colour.
+/// Below this opacity there is no colour.
 const LEAST_ALPHA: f32 = 1e-4;
-/// Least visibility in the steps: what is hidden here is seen from another pose.
+/// Least visibility for the steps: what is hidden here is visible from another pose.
 const KAPPA_FLOOR: f32 = 0.2;
-/// Least visible opacity in the steps of colour.
+/// Least visible opacity for the steps of colour.
 const SEEN_FLOOR: f32 = 0.02;
 const MAX_BRIGHTNESS: f32 = 1.5;

@@ -1,5 +1,5 @@
-//! The layers of a band in bits: written once, for both directions. What is decoded is computed here too, so that the
-//! encoder works with it.
+//! Codes the layers of a band in bits. One text serves both directions. It also computes what a decoder will have, so
+//! that the encoder works with it.
 
 mod depth;
 mod layer;
@@ -17,35 +17,36 @@ use layer::{BlockContext, CodedLayer};
 
 pub(super) use depth::PlaneCode;
 
-/// Where the planes of a block come from.
+/// The origin of a block's planes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Origin {
-    /// They are coded.
+    /// The planes are coded.
     #[default]
     Fresh,
-    /// Those of the block on the left, continued.
+    /// The planes of the left block, continued.
     Left,
-    /// Those of the block above, continued.
+    /// The planes of the upper block, continued.
     Above,
-    /// Those of the reference, moved.
+    /// The planes of the reference, moved.
     Kept,
-    /// All of the block is that of the reference, whose camera is the same.
+    /// The whole block is copied from the reference, which has the same camera.
     Copied,
 }
 
-/// What an encoder says of a block.
+/// An encoder's plan for a block.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Plan {
     pub(super) origin: Origin,
     /// The planes, if they are fresh.
     pub(super) codes: Vec<(PlaneCode, PlaneCode)>,
-    /// The matter between the planes that the decoder will have; none if the block is empty.
+    /// The matter between the planes that the decoder will have. Empty for an empty block.
     pub(super) layers: Vec<BlockLayer>,
 }
 
-/// Gives what is to be coded.
+/// Provides the plans of blocks.
 pub(super) trait BlockSource {
-    /// Plans the block at (`x`, `y`) of the band. `offered` writes the planes of an origin, if it has any.
+    /// Plans the block at (`x`, `y`) of the band. `offered` writes the planes of an origin and returns whether there
+    /// are any.
     fn plan(
         &mut self,
         x: usize,
@@ -70,9 +71,9 @@ pub(super) struct BandCoder<'a, C> {
     place: BandPlace,
     reference: Option<(&'a Reference, CameraMotion)>,
     band: Band,
-    /// Beside the planes of the band.
+    /// One for each pair of planes of the band.
     layers: Vec<CodedLayer>,
-    /// How each block came to its planes.
+    /// The origin of each block's planes.
     origins: Vec<Origin>,
     lists: OpenBlock,
     fetched: Fetched,
@@ -102,7 +103,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         }
     }
 
-    /// Codes all blocks; `limit` is the greatest number of cells.
+    /// Codes all blocks; `limit` is the greatest allowed number of cells.
     pub(super) fn run(
         mut self,
         source: &mut impl BlockSource,
@@ -123,7 +124,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         Ok((self.coder, self.band, self.origins))
     }
 
-    /// Number of the block to the left of or above one, if there is one.
+    /// Index of the block to the left, if there is one.
     fn left(&self, x: usize) -> Option<usize> {
         (x > 0).then(|| self.band.blocks.len() - 1)
     }
@@ -132,7 +133,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         (y > 0).then(|| self.band.blocks.len() - self.place.across)
     }
 
-    /// The planes that an origin has for the block at (`x`, `y`); whether there are any.
+    /// Writes the planes that an origin has for the block at (`x`, `y`). Returns whether there are any.
     fn offer(&self, origin: Origin, x: usize, y: usize, out: &mut Vec<Planes>) -> bool {
         out.clear();
         let mut offer = |block: Option<usize>, step| {
@@ -149,7 +150,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         !out.is_empty()
     }
 
-    /// The planes of the block of the reference that the middle of this one has moved to.
+    /// Adds the planes of the reference's block that the middle of this block moves to.
     fn kept(&self, x: usize, y: usize, out: &mut Vec<Planes>) {
         let Some((reference, motion)) = &self.reference else { return };
         let y = y + self.place.first_row;
@@ -209,7 +210,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         self.origins.push(origin);
     }
 
-    /// Copies the block if that is said.
+    /// Codes whether the block is a copy, and copies it.
     fn copied(&mut self, x: usize, y: usize, plan: &Plan) -> bool {
         let Some((reference, motion)) = self.reference else { return false };
         let block = reference.block(x as i32, (y + self.place.first_row) as i32);
@@ -227,13 +228,13 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         true
     }
 
-    /// Context of the origins of the blocks on the left and above.
+    /// Context of the origins of the left and upper blocks.
     fn around(&self, x: usize, y: usize, is: impl Fn(Origin) -> bool) -> usize {
         let state = |block: Option<usize>| block.map_or(0, |b| 1 + usize::from(is(self.origins[b])));
         state(self.left(x)) * 3 + state(self.above(y))
     }
 
-    /// Where the planes come from, and these unless they are fresh.
+    /// Codes the origin of the planes, and writes these unless they are fresh.
     fn origin(&mut self, x: usize, y: usize, wanted: Origin, planes: &mut Vec<Planes>) -> Origin {
         let (left, above) = (self.left(x), self.above(y));
         let is_kept = self.around(x, y, |o| o == Origin::Kept);

@@ -10,20 +10,19 @@ use super::{
 use crate::kernels::raycast::opacity;
 use crate::layer::TAU_MAX;
 
-/// The matter of some lists, put into layers: those of all lists or of the sampled ones. Columns are by their number
-/// among these.
+/// The matter of all lists or of the sampled ones, put into layers. Columns are indices among these lists.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assigned {
-    /// Those of the first `num` are of the layers.
+    /// The first `num` belong to layers.
     cells: Vec<AssignedLayer>,
     num: usize,
 }
 
-/// What the lists have in a layer.
+/// The lists' matter in a layer.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 struct AssignedLayer {
-    /// Which have anything. Of the others, only the opacity counts: 0.
+    /// Mask of the lists with matter. The others have opacity 0, and their other values mean nothing.
     mask: u64,
     front: Column,
     back: Column,
@@ -37,9 +36,9 @@ const NO_CELLS: AssignedLayer =
     AssignedLayer { mask: 0, front: ZERO, back: ZERO, alpha: ZERO, tau: ZERO, c: [ZERO; 3] };
 
 impl AssignedLayer {
-    /// What lists from `first` on have collected between two places, the first in or in front of pieces with the source
-    /// colours `e`; `pieces` are the numbers of the pieces at both. Returns the lists, bit by bit, whose colours are not known
-    /// yet: the difference of two that hardly differ is but rounding.
+    /// Sets what lists from `first` on collect between two places. The first place is in or in front of pieces with
+    /// the source colours `e`; `pieces` are the indices of the pieces at both. Returns a mask of lists whose colours
+    /// are still unknown: the difference of two nearly equal colours is only rounding noise.
     #[inline(always)]
     fn fill(
         &mut self,
@@ -60,11 +59,11 @@ impl AssignedLayer {
             let is_one = pieces[0][i] == pieces[1][i];
             let is_hidden = from.kappa[i] - to.kappa[i] < LEAST_SEEN;
             hidden |= u64::from(has_matter & is_hidden & !is_one) << i;
-            // Where there is nothing these are infinite.
+            // Without matter these are infinite.
             front[i] = select(has_matter, from.next[i], 0.0);
             back[i] = select(has_matter, to.last[i], 0.0);
             tau[i] = lesser(greater(to.tau[i] - from.tau[i], TAU_MIN), TAU_MAX);
-            // Of two transmittances that are next to nothing the quotient would tell nothing.
+            // The quotient of two tiny transmittances would mean nothing.
             alpha[i] = select(has_matter, opacity(tau[i]), 0.0);
             let color = |n: usize| {
                 let seen = (to.c[n][i] - from.c[n][i]) * from.per_kappa[i];
@@ -76,7 +75,7 @@ impl AssignedLayer {
         hidden << first
     }
 
-    /// The colours of lists that have them from some of their pieces.
+    /// Takes the colours of lists from some of their pieces.
     #[inline(always)]
     fn fill_hidden(&mut self, mut hidden: u64, lists: &BlockLists, pieces: [&[u32; SAMPLES]; 2]) {
         while hidden != 0 {
@@ -92,8 +91,8 @@ impl AssignedLayer {
 }
 
 impl Assigned {
-    /// Puts the matter of lists into layers between these planes: what they collect up to the end of a layer, less what they
-    /// have up to its front. A layer ends half way between its back plane and the front plane of the next.
+    /// Puts the matter of lists into layers between these planes: what they collect up to the end of a layer, minus
+    /// what they have at its front. A layer ends half-way between its back plane and the next front plane.
     #[inline(always)]
     pub(super) fn put_all<const HAS_COLORS: bool>(
         &mut self,
@@ -125,7 +124,7 @@ impl Assigned {
         }
     }
 
-    /// What all lists have in the layers.
+    /// Puts the matter of all lists into the layers.
     #[inline(always)]
     pub(super) fn layers(&self, planes: &[(DepthPlane, DepthPlane)], out: &mut Vec<BlockLayer>) {
         out.resize_with(self.num, BlockLayer::default);
@@ -140,8 +139,8 @@ impl Assigned {
         }
     }
 
-    /// The planes that suit what all lists have in the layers, with slopes near `slopes`, in place of `planes`; drops
-    /// layers that have nothing.
+    /// Replaces `planes` by those that fit the matter of all lists in the layers, with slopes near `slopes`. Drops
+    /// layers without matter.
     #[inline(always)]
     pub(super) fn fit(
         &mut self,
@@ -170,7 +169,7 @@ impl Assigned {
     }
 }
 
-/// Where layer `n` ends in some lists.
+/// The end of layer `n` in some lists.
 #[inline(always)]
 pub(super) fn borders(
     planes: &[(DepthPlane, DepthPlane)],
@@ -183,19 +182,19 @@ pub(super) fn borders(
     }
 }
 
-/// How much the ends of each of `num` lists are worth to a plane.
+/// Weights of the ends of `num` lists for a plane.
 #[inline(always)]
 fn weights(cells: &AssignedLayer, kappa: &Column, num: usize) -> Column {
     let mut weights = [0.0; BLOCK_LISTS];
     for i in 0..num {
-        // The small addend lets a list that is all but clear have a say where no other has.
+        // The small addend lets a nearly clear list count where no other does.
         let weight = (cells.alpha[i] + 1e-3) * kappa[i].max(KAPPA_FLOOR);
         weights[i] = select(cells.mask >> i & 1 == 1, weight, 0.0);
     }
     weights
 }
 
-/// The plane through depths `z` with least squared distance, its slopes held back to these.
+/// The plane with least squared distance from depths `z`, whose slopes are drawn towards these.
 #[inline(always)]
 fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl ListSubset) -> DepthPlane {
     let middle = (BLOCK as f32 - 1.0) / 2.0;
@@ -213,9 +212,9 @@ fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl ListSubset
         let z = z[slot] - mz;
         [w * x * x, w * x * y, w * y * y, w * x * z, w * y * z]
     });
-    // What is left of the slopes.
+    // The remaining slopes.
     let (xz, yz) = (xz - dx * xx - dy * xy, yz - dx * xy - dy * yy);
-    // Few lists in a row have no slope across it.
+    // Few lists in a row give no slope across it.
     let (xx, yy) = (xx + SLOPE_DAMPING * w, yy + SLOPE_DAMPING * w);
     let per_determinant = 1.0 / (xx * yy - xy * xy);
     let dx = dx + (xz * yy - yz * xy) * per_determinant;
@@ -223,7 +222,7 @@ fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl ListSubset
     DepthPlane { z: mz - dx * mx - dy * my, dx, dy }
 }
 
-/// Opacity as seen below which the colour as seen does not tell the colour.
+/// Below this visible opacity, the visible colour does not tell the colour.
 const LEAST_SEEN: f32 = 5e-5;
-/// Square of the distance, in lists, over which slopes are held back.
+/// Square of the distance over which slopes are drawn back, lists.
 const SLOPE_DAMPING: f32 = 0.5;

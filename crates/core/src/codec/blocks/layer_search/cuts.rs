@@ -1,4 +1,5 @@
-//! Chooses where layers begin: of many candidate depths, those are dropped whose loss moves matter least (greedy merging).
+//! Chooses where layers begin. Of many candidate depths, it drops those whose loss moves matter least (greedy
+//! merging).
 
 use super::lists::{BlockLists, Collected, ListWalk};
 use super::{
@@ -10,18 +11,18 @@ use crate::kernels::raycast::opacity;
 /// Scratch memory of the search for cuts.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CutSearch {
-    /// Candidate cuts, sheared, and what is collected up to them.
+    /// Candidate cuts, sheared, and what lists collect up to them.
     cuts: Vec<f32>,
     rows: Vec<Collected>,
-    /// Groups: those between two cuts with matter in them, that are still apart.
+    /// Groups: the ranges between two cuts that have matter and are still separate.
     groups: Vec<Group>,
-    /// Error that a union with the next group would add; infinite for the last.
+    /// Error that a union with the next group would add; infinite for the last group.
     costs: Vec<f32>,
-    /// The fronts of the groups that are left.
+    /// Fronts of the remaining groups.
     fronts: Vec<f32>,
 }
 
-/// What lies between the cuts numbered `from` and `to`.
+/// The matter between the cuts with indices `from` and `to`.
 #[derive(Clone, Copy, Debug)]
 struct Group {
     from: usize,
@@ -30,19 +31,19 @@ struct Group {
     misfit: f32,
     /// Error of the flat ends of a union with the next group.
     misfit_of_union: f32,
-    /// Whether one of the two has grown since.
+    /// Whether one of the two has grown since then.
     is_stale: bool,
 }
 
-/// Ends of segments that lie in a bin of depth.
+/// Ends of segments in a bin of depth.
 #[derive(Clone, Copy, Debug)]
 struct Bin {
     num: u32,
-    /// The last of them.
+    /// The deepest of them.
     last: f32,
 }
 
-/// Growth of depth rightwards and downwards: the median difference between neighbours in the depth of their most
+/// Growth of depth rightwards and downwards: the median difference of neighbouring lists in the depth of their most
 /// visible segments.
 pub(super) fn slopes(lists: &BlockLists) -> [f32; 2] {
     let depth = &lists.depth;
@@ -64,7 +65,7 @@ pub(super) fn slopes(lists: &BlockLists) -> [f32; 2] {
 }
 
 impl CutSearch {
-    /// Depths where layers begin, along planes with the slopes of the walk's shear.
+    /// Depths at which layers begin, along planes with the slopes of the walk's shear.
     #[inline(always)]
     pub(super) fn cuts(&mut self, walk: &mut ListWalk, lists: &BlockLists, cost: &LayerCost) -> &[f32] {
         self.candidates(lists, &walk.shear);
@@ -86,8 +87,8 @@ impl CutSearch {
         let limit = cost.error_per_layer() / lists.per_sample();
         while self.groups.len() > 1 {
             let least = least(&self.costs);
-            // A union with a group that has grown seldom costs less than before: it is looked at when its turn comes, or
-            // when the search would end.
+            // A union with a group that has grown seldom costs less than before. So its cost is updated when its turn
+            // comes, or when the search would end.
             let is_dear = least > limit && self.groups.len() <= MAX_LAYERS;
             let bound = if is_dear { f32::INFINITY } else { greater(least, lesser(RISE * least, limit)) };
             let num_groups = self.groups.len();
@@ -101,7 +102,7 @@ impl CutSearch {
             if !is_dear {
                 self.join(bound);
             }
-            // Costs that are no numbers end the search, too.
+            // A cost that is not a number ends the search, too.
             if num_weighed == 0 && self.groups.len() == num_groups {
                 break;
             }
@@ -111,7 +112,7 @@ impl CutSearch {
         &self.fronts
     }
 
-    /// Candidate cuts: behind quantiles of the ends of segments, to a bin.
+    /// Candidate cuts: they lie behind quantiles of the ends of segments, to the accuracy of a bin.
     #[inline(always)]
     fn candidates(&mut self, lists: &BlockLists, shear: &SampleColumn) {
         let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -123,7 +124,7 @@ impl CutSearch {
                 hi = hi.max(last.back - shear);
             }
         }
-        // The last end lies in the last bin.
+        // The deepest end lies in the last bin.
         let bins_per_unit = (BINS as f32 - 0.01) / (hi - lo);
         let mut bins = [Bin { num: 0, last: f32::NEG_INFINITY }; BINS];
         let mut total = 0;
@@ -145,7 +146,7 @@ impl CutSearch {
         for bin in &bins {
             sum += bin.num;
             if sum as f32 >= next {
-                // Just behind, so that what ends here is in front of the cut.
+                // Just behind, so that a segment with this end is in front of the cut.
                 let cut = bin.last + 0.01;
                 if cut > previous + MIN_DISTANCE {
                     self.cuts.push(cut);
@@ -157,7 +158,7 @@ impl CutSearch {
         self.cuts.push(hi + 1.0);
     }
 
-    /// Fills in the rows of all cuts.
+    /// Fills in the walk's values at all cuts.
     #[inline(always)]
     fn collect(&mut self, walk: &mut ListWalk, lists: &BlockLists) {
         self.rows.resize(self.cuts.len().max(self.rows.len()), Collected::NOTHING);
@@ -167,8 +168,8 @@ impl CutSearch {
         }
     }
 
-    /// Joins groups whose union costs no more than `bound` and no more than that of the second with the one behind it, none
-    /// of them twice.
+    /// Joins two groups if their union costs at most `bound`, and at most as much as that of the second with the
+    /// next. No group is joined twice.
     #[inline(always)]
     fn join(&mut self, bound: f32) {
         let (mut from, mut to) = (0, 0);
@@ -182,7 +183,7 @@ impl CutSearch {
                 && let Some(&next) = self.groups.get(from)
             {
                 cost = behind;
-                // The last group has no next.
+                // The last group has no next one.
                 let (is_stale, first, misfit) = (cost.is_finite(), group.from, group.misfit_of_union);
                 group = Group { from: first, misfit, is_stale, ..next };
                 if to > 0 {
@@ -197,7 +198,7 @@ impl CutSearch {
         self.costs.truncate(to);
     }
 
-    /// Fills in what a union of the group `index` with the next would cost.
+    /// Fills in the cost of a union of the group `index` with the next.
     #[inline(always)]
     fn weigh(&mut self, index: usize, slope: &SampleColumn) {
         let (a, b) = (self.groups[index], self.groups[index + 1]);
@@ -209,7 +210,7 @@ impl CutSearch {
     }
 }
 
-/// The least number.
+/// The least of the numbers.
 #[inline(always)]
 fn least(costs: &[f32]) -> f32 {
     let mut lanes = [f32::INFINITY; LEAST_LANES];
@@ -229,13 +230,13 @@ impl Group {
     const ALONE: Self = Self { from: 0, to: 0, misfit: 0.0, misfit_of_union: 0.0, is_stale: false };
 }
 
-/// Weight of an error behind `kappa`.
+/// Weight of an error behind the transmittance `kappa`.
 #[inline(always)]
 pub(super) fn weight(kappa: f32, slope: f32) -> f32 {
     select(kappa > KAPPA_FLOOR, kappa, KAPPA_FLOOR) * slope
 }
 
-/// How far the spread of fronts and backs about their means is from flat.
+/// The spread of fronts and backs about their means.
 #[inline(always)]
 fn misfit(front: &Collected, back: &Collected, slope: &SampleColumn) -> f32 {
     let mut w = [0.0; SAMPLES];
@@ -258,8 +259,7 @@ fn misfit(front: &Collected, back: &Collected, slope: &SampleColumn) -> f32 {
     })[0]
 }
 
-/// How far matter moves when what lies between the first two rows becomes one medium with what lies between the last
-/// two.
+/// How far matter moves when the matter between the first two rows and that between the last two become one medium.
 #[inline(always)]
 fn joined(rows: [&Collected; 4], slope: &SampleColumn) -> f32 {
     let mut moved = [0.0; SAMPLES];
@@ -269,13 +269,13 @@ fn joined(rows: [&Collected; 4], slope: &SampleColumn) -> f32 {
     sum(SAMPLES, |i| [moved[i]])[0]
 }
 
-/// The same in list `i`, without the weight.
+/// The same for list `i`, without the weight.
 #[inline(always)]
 pub(super) fn joined_in_list([front, mid, mid_next, back]: [&Collected; 4], i: usize) -> f32 {
     let ends = [front.next[i], mid.last[i], mid_next.next[i], back.last[i]];
     let in_both = (ends[0] < ends[1]) & (ends[2] < ends[3]);
     let per_kappa = front.per_kappa[i];
-    // Behind this, the difference of two colours is but rounding.
+    // Behind this, the difference of two colours is only rounding noise.
     let per_kappa_color = select(per_kappa < PER_KAPPA_MAX, per_kappa, PER_KAPPA_MAX);
     let (mut first, mut both) = ([0.0; 3], [0.0; 3]);
     for n in 0..3 {
@@ -288,10 +288,10 @@ pub(super) fn joined_in_list([front, mid, mid_next, back]: [&Collected; 4], i: u
     select(in_both, moved, 0.0)
 }
 
-/// How far the collected colour or opacity, whichever is more, moves when a piece from `ends[0]` to `ends[1]` and
-/// one from `ends[2]` to `ends[3]` become one homogeneous medium of optical depth `tau`: ∫|change| ds, which is linear
-/// between the ends, times length^¼. `alphas` are the opacities of the first piece and of the two, `first` and `both`
-/// their colours.
+/// How far the collected colour or opacity, whichever is more, moves when two pieces become one homogeneous medium of
+/// optical depth `tau`. The pieces go from `ends[0]` to `ends[1]` and from `ends[2]` to `ends[3]`. The result is
+/// ∫|change| ds times length^¼, with a change that is linear between the ends. `alphas` are the opacities of the
+/// first piece and of both, and `first` and `both` their colours.
 #[inline(always)]
 fn move_of_union(
     ends: [f32; 4],
@@ -316,22 +316,23 @@ fn move_of_union(
     0.5 * (changes[0] * (ends[2] - ends[0]) + changes[1] * (ends[3] - ends[1])) * fourth_root(length)
 }
 
-/// Candidate cuts of a block: more where its lists are long, whose ends say less each. Time is proportional to them.
+/// Least and greatest number of candidate cuts of a block. Long lists need more, because each of their ends says
+/// less. Time is proportional to this number.
 const MIN_CANDIDATES: u32 = 64;
 const MAX_CANDIDATES: u32 = 128;
-/// Ends of segments for each candidate between these.
+/// Between these, there is one candidate for this number of segment ends.
 const ENDS_PER_CANDIDATE: u32 = 4;
-/// Least distance of candidate cuts, in depth units: about a sixth of a pixel.
+/// Least distance of candidate cuts, depth units: about a sixth of a pixel.
 const MIN_DISTANCE: f32 = 20.0;
 /// Fewer neighbours than this say nothing about a slope.
 const MIN_DIFFERENCES: usize = 4;
-/// One over the least transmittance in front of a colour.
+/// Inverse of the least transmittance in front of a colour.
 const PER_KAPPA_MAX: f32 = 1e4;
-/// Unions that cost up to so many times the least are made at a time.
+/// Unions that cost up to this multiple of the least are made in one round.
 const RISE: f32 = 4.0;
-/// Numbers that the least is sought among at a time.
+/// Number of lanes in the search for the least number.
 const LEAST_LANES: usize = 16;
-/// Bins of depth that ends of segments are sorted into.
+/// Number of bins of depth for ends of segments.
 const BINS: usize = 512;
 
 #[cfg(test)]

@@ -1,27 +1,28 @@
-//! The lists of a block, and walks along 16 of them at once: optical depth, transmittance and colour collected up to a depth.
+//! The lists of a block, and walks along 16 of them at once. A walk gives the optical depth, transmittance and colour
+//! that lists collect up to a depth.
 
 use super::super::model::{BLOCK, BLOCK_LISTS};
 use super::{Column, SAMPLES, SampleColumn, greater, lesser, select};
 use crate::kernels::raycast::{opacity, transmittance};
 use crate::layer::{LayeredFrame, MAX_K, unpack_halves};
 
-/// The segments of a block's lists, front to back; reused from block to block.
+/// The segments of a block's lists, front to back. Its memory is reused from block to block.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(in crate::codec::blocks) struct BlockLists {
-    /// The pieces of list `i` are `starts[i]..starts[i + 1]`, of which the last is what is behind all matter.
+    /// The pieces of list `i` are `starts[i]..starts[i + 1]`. The last one stands for what lies behind all matter.
     starts: [u32; BLOCK_LISTS + 1],
     pieces: Vec<ListPiece>,
-    /// How much more an error in a list is seen the darker the list is; 1 for a bright one.
+    /// Visibility of an error in each list: the darker the list, the greater. 1 for a bright one.
     pub(super) slope: Column,
-    /// Of red, green and blue that a list composites to.
+    /// Roots of red, green and blue that a list composites to.
     roots: [Column; 3],
-    /// Where the most visible segment of a list begins; not a number if it has none.
+    /// Front of the most visible segment of a list; NaN if it has none.
     pub(super) depth: Column,
-    /// The lists that are looked at where not all are: of those with segments as many as there is room for, evenly spread. If
-    /// there are fewer, the rest are lists without.
+    /// The sampled lists: up to 16 of those with segments, evenly spread. If there are fewer, empty lists fill the
+    /// rest.
     samples: [u8; SAMPLES],
-    /// How many lists with segments there are to each of these.
+    /// Number of lists with segments for each sample.
     per_sample: f32,
     unpacked: Box<Unpacked>,
 }
@@ -30,7 +31,7 @@ wide! {
     fn read(lists: &mut BlockLists, frame: &LayeredFrame, x: u32, y: u32) = BlockLists::read_any;
 }
 
-/// The segments of a row of a block's lists.
+/// Takes in the segments of a row of a block's lists.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 struct Unpacked {
@@ -46,20 +47,20 @@ struct Unpacked {
 
 type RowOf<T> = [T; BLOCK * MAX_K];
 
-/// A segment and what is in front of it.
+/// A segment, and what lies in front of it.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(align(64))]
 pub(super) struct ListPiece {
     pub(super) front: f32,
     pub(super) back: f32,
-    /// Optical depth of a depth unit.
+    /// Optical depth for each depth unit.
     rate: f32,
     /// Source colour C/α.
     e: [f32; 3],
     before: CollectedBefore,
 }
 
-/// What a ray has collected before a piece.
+/// What a ray collects in front of a piece.
 #[derive(Clone, Copy, Debug)]
 struct CollectedBefore {
     tau: f32,
@@ -106,7 +107,7 @@ impl Default for Unpacked {
 }
 
 impl Unpacked {
-    /// Takes in segments from their words.
+    /// Reads segments from their words.
     #[inline(always)]
     fn fill(&mut self, depth: &[u32], rg: &[u32], b_tau: &[u32]) {
         let num = depth.len().min(rg.len()).min(b_tau.len()).min(BLOCK * MAX_K);
@@ -131,7 +132,7 @@ impl Unpacked {
         }
     }
 
-    /// Segment `i`, its opacity as seen, and what is collected before the next.
+    /// Returns segment `i`, its visible opacity, and what is collected before the next one.
     #[inline(always)]
     fn piece(&self, i: usize, before: CollectedBefore) -> (ListPiece, f32, CollectedBefore) {
         let i = i % (BLOCK * MAX_K);
@@ -152,7 +153,7 @@ impl Unpacked {
 }
 
 impl BlockLists {
-    /// Reads the lists of a valid frame ([`LayeredFrame::validate`]) from (`x`·[`BLOCK`], `y`·[`BLOCK`]) on; those
+    /// Reads the lists of a valid frame ([`LayeredFrame::validate`]) from (`x`·[`BLOCK`], `y`·[`BLOCK`]) on. Lists
     /// outside of the frame are empty.
     pub(in crate::codec::blocks) fn read(&mut self, frame: &LayeredFrame, x: u32, y: u32) {
         read(self, frame, x, y);
@@ -201,7 +202,7 @@ impl BlockLists {
         }
         let [r, g, b] = &mut self.roots;
         for i in 0..BLOCK_LISTS {
-            // The picture shows about the root of the colour, so an error in a dark list counts for more.
+            // The picture shows about the root of the colour, so an error in a dark list counts more.
             let brightest = greater(greater(r[i], g[i]), b[i]);
             self.slope[i] = (0.5 / greater(brightest, 0.01).sqrt()).sqrt();
             (r[i], g[i], b[i]) = (r[i].sqrt(), g[i].sqrt(), b[i].sqrt());
@@ -209,7 +210,7 @@ impl BlockLists {
         self.sample();
     }
 
-    /// Whether a frame has nothing in a block.
+    /// Whether a block of a frame is empty.
     pub(in crate::codec::blocks) fn is_nothing(frame: &LayeredFrame, x: u32, y: u32) -> bool {
         let intrinsics = frame.header.camera.intrinsics;
         let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
@@ -245,19 +246,19 @@ impl BlockLists {
         self.per_sample = num as f32 / num.clamp(1, SAMPLES) as f32;
     }
 
-    /// How many lists with segments there are to each sample that has some.
+    /// Number of lists with segments for each sample that has some.
     #[inline(always)]
     pub(super) fn per_sample(&self) -> f32 {
         self.per_sample
     }
 
-    /// The list of sample `i`. Not all samples are empty unless all lists are.
+    /// The list of sample `i`. Some sample has segments unless all lists are empty.
     #[inline(always)]
     pub(super) fn sampled(&self, i: usize) -> usize {
         usize::from(self.samples[i]) % BLOCK_LISTS
     }
 
-    /// The colour of what some pieces of a list, the last of them included, have between two depths.
+    /// The colour between two depths of some pieces of a list, the last one included.
     #[inline(always)]
     pub(super) fn composite(&self, first: u32, last: u32, front: f32, back: f32) -> [f32; 3] {
         let (mut kappa, mut c) = (1.0, [0.0; 3]);
@@ -279,20 +280,20 @@ impl BlockLists {
     }
 }
 
-/// What sixteen lists have collected up to a place in each.
+/// What sixteen lists collect up to a place in each.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 pub(super) struct Collected {
     /// Optical depth.
     pub(super) tau: SampleColumn,
-    /// Transmittance, and one over it.
+    /// Transmittance, and its inverse.
     pub(super) kappa: SampleColumn,
     pub(super) per_kappa: SampleColumn,
-    /// Colour, seen from the front.
+    /// Colour as visible from the front.
     pub(super) c: [SampleColumn; 3],
-    /// Where matter begins, at this cut or behind it; infinite behind all matter.
+    /// Where matter begins at this cut or behind it; infinite behind all matter.
     pub(super) next: SampleColumn,
-    /// Where matter ends, at this cut or before it; −infinite in front of all matter.
+    /// Where matter ends at this cut or before it; −infinite in front of all matter.
     pub(super) last: SampleColumn,
 }
 
@@ -307,16 +308,16 @@ impl Collected {
     };
 }
 
-/// Walks through sixteen lists at once, front to back. Depths are those of the lists less `shear`.
+/// Walks through sixteen lists at once, front to back. Its depths are those of the lists minus `shear`.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct ListWalk {
     pub(super) shear: SampleColumn,
     /// Slopes of [`BlockLists`].
     pub(super) slope: SampleColumn,
-    /// Index of the piece that the walk is in or in front of.
+    /// Index of the piece in which or in front of which the walk is.
     pub(super) index: [u32; SAMPLES],
-    /// The columns of these pieces.
+    /// Values of these pieces, as columns.
     front: SampleColumn,
     back: SampleColumn,
     rate: SampleColumn,
@@ -324,14 +325,15 @@ pub(super) struct ListWalk {
     tau: SampleColumn,
     kappa: SampleColumn,
     c: [SampleColumn; 3],
-    /// Where the pieces before end.
+    /// Ends of the previous pieces.
     last: SampleColumn,
     border: SampleColumn,
 }
 
-/// What wants to know when a walk leaves pieces. No closure, as those do not get the instructions that their callers have.
+/// A listener that a walk tells when it leaves pieces. It is no closure, because a closure is not compiled for the
+/// instructions of its caller.
 pub(super) trait PieceObserver {
-    /// These lists, bit by bit, have left a piece each, and the walk is at the front of the next.
+    /// Each list of the mask has left a piece, and the walk is at the front of the next.
     fn left(&mut self, walk: &ListWalk, lists: u64);
 }
 
@@ -340,13 +342,13 @@ impl PieceObserver for () {
     fn left(&mut self, _: &ListWalk, _: u64) {}
 }
 
-/// Whether a piece ends in front of a border, or so little behind it that it ends there.
+/// Whether a piece ends in front of a border, or so little behind it that it counts as ending there.
 #[inline(always)]
 fn is_short_of(border: f32, front: f32, back: f32) -> bool {
     (back <= border) | ((front < border) & (back - border < SNAP * (back - front)))
 }
 
-/// Whether more than a little of a piece is in front of a border.
+/// Whether more than a small part of a piece lies in front of a border.
 #[inline(always)]
 fn is_within(border: f32, front: f32, back: f32) -> bool {
     border - front >= SNAP * (back - front)
@@ -373,7 +375,7 @@ impl Default for ListWalk {
 }
 
 impl ListWalk {
-    /// To the front of lists.
+    /// Starts at the front of lists.
     #[inline(always)]
     pub(super) fn start(&mut self, lists: &BlockLists, numbers: &[usize; SAMPLES]) {
         for (i, &list) in numbers.iter().enumerate() {
@@ -399,14 +401,14 @@ impl ListWalk {
         }
     }
 
-    /// Goes on to `depth`, which must not lie before the depth of the call before.
+    /// Moves on to `depth`, which must not be less than in the previous call.
     #[inline(always)]
     pub(super) fn go_to(&mut self, lists: &BlockLists, depth: f32, out: &mut Collected) {
         self.enter_all(lists, |_, back, _| back <= depth, &mut ());
         self.collected(&[depth; SAMPLES], |depth, front, _| depth > front, out);
     }
 
-    /// To the front of lists, to go on by [`Self::go_to_borders`].
+    /// Starts at the front of lists, for [`Self::go_to_borders`].
     #[inline(always)]
     pub(super) fn start_at_borders(
         &mut self,
@@ -420,8 +422,8 @@ impl ListWalk {
         self.collected(&self.border, |_, _, _| false, out);
     }
 
-    /// Goes on to a depth for each list, or stays where it is if it is farther. An end of a segment that is short beside it
-    /// stays with the rest. `leaving` is told of the pieces that are left.
+    /// Moves on to a depth for each list, or stays if it is already farther. A short end of a segment beyond the
+    /// depth stays with the rest. `leaving` learns of the pieces that the walk leaves.
     #[inline(always)]
     pub(super) fn go_to_borders(
         &mut self,
@@ -438,7 +440,7 @@ impl ListWalk {
         self.collected(&border, is_within, out);
     }
 
-    /// Leaves the pieces, from their front to their back, that this says are passed.
+    /// Leaves the pieces that `is_passed` names, from their front to their back.
     #[inline(always)]
     fn enter_all(
         &mut self,
@@ -466,20 +468,20 @@ impl ListWalk {
         }
     }
 
-    /// What is collected where pieces begin, and the pieces before have ended; without one over the transmittance.
+    /// What is collected where pieces begin and the previous ones have ended, without the inverse transmittance.
     #[inline(always)]
     pub(super) fn at_fronts(&self) -> Collected {
         let Self { tau, kappa, c, front: next, last, .. } = *self;
         Collected { tau, kappa, per_kappa: [1.0; SAMPLES], c, next, last }
     }
 
-    /// Whether the piece of list `i` begins in front of the border that the walk goes to.
+    /// Whether the piece of list `i` begins in front of the walk's next border.
     #[inline(always)]
     pub(super) fn begins(&self, i: usize) -> bool {
         is_within(self.border[i], self.front[i], self.back[i])
     }
 
-    /// What is collected at these depths, if they are inside of their piece, or before it.
+    /// What is collected at these depths, which lie inside of their piece or before it.
     #[inline(always)]
     fn collected(
         &self,
@@ -490,7 +492,7 @@ impl ListWalk {
         for i in 0..SAMPLES {
             let (front, depth) = (self.front[i], depth[i]);
             let is_inside = is_inside(depth, front, self.back[i]);
-            // Nothing is left of infinity less infinity.
+            // Infinity minus infinity must give 0.
             let x = select(is_inside, (depth - front) * self.rate[i], 0.0);
             let kappa = transmittance(x);
             let alpha = 1.0 - kappa;
@@ -506,8 +508,8 @@ impl ListWalk {
     }
 }
 
-/// The lists of a block in an order in which the first so many lie evenly spread: by sixteens, each of which has two lists
-/// of every row and of every column.
+/// The lists of a block in an order in which any first ones lie evenly spread. Each sixteen of them have two lists of
+/// every row and of every column.
 const SPREAD: [u8; BLOCK_LISTS] = {
     let mut order = [0; BLOCK_LISTS];
     let mut n = 0;
@@ -520,11 +522,11 @@ const SPREAD: [u8; BLOCK_LISTS] = {
     order
 };
 
-/// Least optical depth of a segment: the source colour C/α of a thinner one would not be a number to rely on.
+/// Least optical depth of a segment. The source colour C/α of a thinner one would not be reliable.
 pub(super) const TAU_MIN: f32 = 1e-4;
-/// An end of a segment that is cut off by a border stays if it is shorter than this share of the segment.
+/// An end of a segment that a border cuts off stays with the rest if it is shorter than this share of the segment.
 const SNAP: f32 = 0.1;
-/// Least transmittance to divide by.
+/// Least transmittance in a division.
 const KAPPA_MIN: f32 = 1e-35;
 
 #[cfg(test)]

@@ -1,17 +1,17 @@
-//! Finds the layers that the lists of a block share. Only an encoder does this.
+//! Finds the layers that the lists of a block share.
 //!
-//! [`LayerSearch::find`] finds the layers: candidate cuts through a block, parallel to its first surface, of which those
-//! whose loss moves least matter are dropped until the next would move too much. [`LayerSearch::fit`] moves layers of a
-//! block much like this one to where they suit. [`LayerSearch::assign`] has the layers and puts the lists' matter into them.
-//! Matter is conserved: the parts of a list in its layers composite to what the list composited to.
+//! [`LayerSearch::find`] starts from candidate cuts through a block, parallel to its first surface. It drops the cuts
+//! whose loss moves matter least, until the next would move too much. [`LayerSearch::fit`] moves the layers of a
+//! similar block to where they fit. [`LayerSearch::assign`] puts the lists' matter into given layers. Matter is
+//! conserved: the parts of a list in its layers composite to the same as the list.
 //!
-//! What a loss moves is measured where visible, as (opacity or colour) × depth units^(5/4): joined parts of a list are
-//! read as one homogeneous medium, whose collected colour and opacity differ on the way from what they were; and a
-//! layer has one front and one back plane, from which the ends of its lists differ. The power 5/4 makes one long move
-//! dearer than many short ones. One list of four is enough to choose cuts by, where all have matter.
+//! A move counts where it is visible, as (opacity or colour) × depth units^(5/4). Joined parts of a list become one
+//! homogeneous medium, whose collected colour and opacity differ along the way. A layer has one front and one back
+//! plane, from which the ends of its lists differ. The power 5/4 makes one long move cost more than many short ones.
+//! One list in four is enough to choose cuts where all have matter.
 //!
-//! Only an encoder runs this, so results need not be the same on all machines. Lists are worked on 16 or 64 at a
-//! time, in loops that become vector instructions.
+//! Only an encoder runs this, so results may differ between machines. Loops over 16 or 64 lists become vector
+//! instructions.
 
 mod assign;
 mod cuts;

@@ -1,4 +1,4 @@
-//! The error of given layers: how far matter moves when it is put into them.
+//! The error of given layers: how far matter moves when it goes into them.
 
 use super::assign::borders;
 use super::cuts::{joined_in_list, weight};
@@ -6,15 +6,15 @@ use super::lists::{BlockLists, Collected, ListWalk, PieceObserver};
 use super::{DepthPlane, ListSubset, SAMPLES, SampleColumn, power_5_4, select, sum};
 use crate::kernels::raycast::opacity;
 
-/// Where the matter of a list in a layer is parted by a gap or into two pieces: what is collected up to there.
+/// The partings of lists in a layer: a gap, or the border of two pieces. Has what lists collect up to there.
 struct Gaps<'a> {
     /// What is collected up to the layer.
     before: &'a Collected,
     slope: &'a SampleColumn,
-    /// Lists that have a parting that is not weighed yet, bit by bit.
+    /// Mask of the lists with a parting that is not weighed yet.
     mask: u64,
     at: Collected,
-    /// How far matter moves by what was weighed.
+    /// How far matter moves by the weighed partings.
     joined: f32,
 }
 
@@ -24,7 +24,8 @@ impl<'a> Gaps<'a> {
         Self { before, slope, mask: 0, at: Collected::NOTHING, joined: 0.0 }
     }
 
-    /// Weighs the partings of these lists: the matter in front and that behind, up to `to`, become one medium. Forgets them.
+    /// Weighs the partings of these lists and forgets them. The matter in front and that behind, up to `to`, become
+    /// one medium.
     #[inline(always)]
     fn weigh(&mut self, lists: u64, to: &Collected) {
         let lists = self.mask & lists;
@@ -66,8 +67,8 @@ impl PieceObserver for Gaps<'_> {
     }
 }
 
-/// How far matter of lists, each of which stands for so many, moves by being joined in a layer and to its planes. Infinite
-/// as soon as it is above `limit`.
+/// How far the matter of lists moves when it is joined in layers and moved to their planes. Each list has a weight.
+/// The result is infinite once it exceeds `limit`.
 #[inline(always)]
 pub(super) fn moved(
     walk: &mut ListWalk,
