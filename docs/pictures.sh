@@ -126,7 +126,7 @@ moving() {
 }
 
 picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
-moving viewer demo "${bonsai[@]}" --rtt 200ms --overlay off --size 640x420
+moving viewer demo "${bonsai[@]}" --rtt 200ms --bars off --size 640x420
 picture guide-start "" view
 picture guide-editor l demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
 picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2

@@ -181,8 +181,9 @@ fn a_picture_to_keep_is_that_of_render_to_the_bit() {
     let large = Intrinsics::perspective(400, 300, 0.7);
     for (look, background) in [(look(), [0; 3]), (Look { lighting: SHADED, ..look() }, [200, 210, 220])] {
         one.set_look(look.clone()).unwrap();
-        let ids = [(&one, 0.2f32), (&other, 1.1)]
-            .map(|(c, azimuth)| (c, azimuth, c.talk().screenshot.request(pose(azimuth), large, background)));
+        let ids = [(&one, 0.2f32), (&other, 1.1)].map(|(c, azimuth)| {
+            (c, azimuth, c.talk().screenshot.request(pose(azimuth), large, background, None))
+        });
         let mut files = Vec::new();
         for (client, azimuth, id) in ids {
             let found = shot(client, id);
@@ -208,21 +209,22 @@ fn the_newest_picture_wins_and_one_that_is_cancelled_does_not_come() {
     // A turntable that is given up: the pictures are large, so that none is there at once.
     let large = Intrinsics::perspective(3000, 2000, 0.6);
     for i in 0..5 {
-        client.talk().screenshot.request(pose(0.3 * i as f32), large, [0; 3]);
+        client.talk().screenshot.request(pose(0.3 * i as f32), large, [0; 3], None);
     }
     client.talk().screenshot.cancel();
-    let small = client.talk().screenshot.request(pose(0.5), SIZE, [9; 3]);
+    let small = client.talk().screenshot.request(pose(0.5), SIZE, [9; 3], None);
     let found = wait_for("the small picture", || client.talk().screenshot.take_outcome());
     assert_eq!(found.id, small);
     assert!(found.png.is_ok());
-    client.talk().screenshot.request(pose(0.2), large, [0; 3]);
+    client.talk().screenshot.request(pose(0.2), large, [0; 3], None);
     client.talk().screenshot.cancel();
     // Frames are made meanwhile and after.
     let id = client.set_pose(pose(0.7), SIZE);
     wait_for("a frame after it", || client.latest_frame().filter(|f| f.frame.header.pose == id));
     assert!(client.talk().screenshot.take_outcome().is_none());
     // One larger than any that is made is not asked for.
-    let huge = client.talk().screenshot.request(pose(0.2), Intrinsics::perspective(8192, 8192, 0.6), [0; 3]);
+    let huge =
+        client.talk().screenshot.request(pose(0.2), Intrinsics::perspective(8192, 8192, 0.6), [0; 3], None);
     let found = wait_for("the refusal", || client.talk().screenshot.take_outcome());
     assert!(found.id == huge && found.png.is_err());
     runtime.block_on(server.close());

@@ -91,7 +91,7 @@ fn window_shows_what_the_twin_casts() {
             distance_in_radii: Some(2.6),
         },
         frame_size: FrameSize::default(),
-        shows_overlay: false,
+        shows_bars: false,
         script: Some(Box::new(script)),
         ..Default::default()
     };
@@ -168,7 +168,7 @@ fn window_shows_what_kept_frames_saw() {
     let options = WindowOptions {
         size: [200, 150],
         initial_orbit: InitialOrbit { distance_in_radii: Some(0.9), ..InitialOrbit::default() },
-        shows_overlay: false,
+        shows_bars: false,
         script: Some(Box::new(script)),
         ..Default::default()
     };
@@ -219,7 +219,7 @@ fn window_shows_each_eye_its_view(mode: StereoMode) {
         initial_orbit: InitialOrbit { azimuth_degrees: 25.0, ..InitialOrbit::default() },
         frame_size: FrameSize::default(),
         stereo,
-        shows_overlay: false,
+        shows_bars: false,
         script: Some(Box::new(script)),
         ..Default::default()
     };

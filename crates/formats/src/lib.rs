@@ -63,7 +63,7 @@ pub use facts::{PERCENTILES, VolumeFacts};
 pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline};
 pub use output::{check_writable, write_whole};
-pub use presets::{default_preset, default_transfer, preset, preset_names};
+pub use presets::{default_preset, default_transfer, fitting_presets, preset, preset_names};
 pub use raw::RawShape;
 pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use scene::{OpenedScene, open_scene, scene_of};

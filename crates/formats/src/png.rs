@@ -3,8 +3,8 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::codecs::png::{PngDecoder, PngEncoder};
+use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder};
 use isinglass_core::picture::{Picture, linear_from_srgb};
 
 use crate::error::FormatError;
@@ -42,13 +42,31 @@ impl Rgb8 {
     }
 }
 
-/// Why a picture cannot be written.
+/// Why a picture cannot be written or read.
 #[derive(Debug, thiserror::Error)]
-#[error("a picture of {width}×{height} cannot be written as PNG: {cause}")]
+#[error("a PNG picture of {width}×{height}: {cause}")]
 pub struct PngError {
     width: u32,
     height: u32,
     cause: String,
+}
+
+/// Reads a PNG file of at most `most_pixels` pixels. Its transparency is dropped.
+///
+/// # Errors
+/// The bytes are no PNG file, or one of a larger picture.
+pub fn decode(png: &[u8], most_pixels: u64) -> Result<Rgb8, PngError> {
+    let failed = |width, height, cause: String| PngError { width, height, cause };
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(most_pixels * 16);
+    let decoder =
+        PngDecoder::with_limits(Cursor::new(png), limits).map_err(|e| failed(0, 0, e.to_string()))?;
+    let (width, height) = decoder.dimensions();
+    if u64::from(width) * u64::from(height) > most_pixels {
+        return Err(failed(width, height, format!("expected at most {most_pixels} pixels")));
+    }
+    let picture = DynamicImage::from_decoder(decoder).map_err(|e| failed(width, height, e.to_string()))?;
+    Ok(Rgb8 { width, height, bytes: picture.into_rgb8().into_raw() })
 }
 
 /// The PNG file of a picture in 8-bit sRGB, with three bytes for each pixel, row by row from the top.
@@ -75,8 +93,8 @@ mod tests {
     fn what_is_written_is_read_back() {
         let rgb: Vec<u8> = (0..5 * 3 * 3).map(|i| (i * 37 % 256) as u8).collect();
         let png = encode(5, 3, &rgb).unwrap();
-        let read = image::load_from_memory(&png).unwrap().into_rgb8();
-        assert_eq!((read.width(), read.height(), read.into_raw()), (5, 3, rgb.clone()));
+        assert_eq!(decode(&png, 15).unwrap(), Rgb8 { width: 5, height: 3, bytes: rgb.clone() });
+        assert!(decode(&png, 14).is_err() && decode(&png[..40], 15).is_err() && decode(b"no", 15).is_err());
         assert!(encode(5, 4, &rgb).is_err());
     }
 }

@@ -17,6 +17,22 @@ pub fn preset_names() -> impl Iterator<Item = &'static str> {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
+/// The presets that suit a volume with this name and range of values. Presets of Hounsfield units suit scans in these
+/// alone, and those of test volumes suit nothing else.
+pub fn fitting_presets(name: &str, (lo, hi): (f32, f32)) -> impl Iterator<Item = &'static str> {
+    let is_in_hounsfield_units = lo <= -500.0 && hi >= 300.0;
+    let kind = name.strip_prefix("builtin:").unwrap_or(name);
+    let kind = kind.split_once('@').map_or(kind, |(kind, _)| kind);
+    let builtin = Builtin::from_name(kind).map(Builtin::name);
+    preset_names().filter(move |preset| match (builtin, Builtin::from_name(preset)) {
+        (_, Some(_)) => builtin == Some(preset),
+        (Some(_), None) => *preset == "smooth",
+        (None, None) => OF_HOUNSFIELD_UNITS.contains(preset) == is_in_hounsfield_units,
+    })
+}
+
+const OF_HOUNSFIELD_UNITS: [&str; 4] = ["ct-body", "ct-bone", "ct-lung", "ct-vessels"];
+
 /// The initial preset for a volume that is opened from `source`. Built-in volumes have their own, and CT and MR use
 /// the one of their modality. Other volumes are judged by their voxels, never by their names. `histogram` must be
 /// that of the volume.

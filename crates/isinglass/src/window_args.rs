@@ -10,8 +10,11 @@ use crate::args::{Switch, parse_background, parse_rate};
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
-    /// Numbers at the top left
+    /// Bars and panels around the picture (key F11)
     #[arg(long, value_enum, default_value_t = Switch::On)]
+    bars: Switch,
+    /// Numbers about network and frames, below the badge
+    #[arg(long, value_enum, default_value_t = Switch::Off)]
     overlay: Switch,
     /// Axes and scale bar
     #[arg(long, value_enum, default_value_t = Switch::On)]
@@ -51,6 +54,11 @@ enum StereoChoice {
 }
 
 impl WindowArgs {
+    /// Whether bars and panels are shown at first.
+    pub(crate) fn shows_bars(&self) -> bool {
+        self.bars == Switch::On
+    }
+
     /// The same as a saved state, based on `saved`, with flags where `has` says they were given.
     pub(crate) fn view(&self, saved: SavedView, has: impl Fn(&str) -> bool) -> SavedView {
         let is_on = |switch| switch == Switch::On;

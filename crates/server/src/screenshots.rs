@@ -70,6 +70,7 @@ async fn make(
     let view = shot.view().map_err(|e| e.to_string())?;
     let camera = Camera::new(view.pose, view.intrinsics, &present.bounds);
     let background = shot.background.map(|c| linear_from_srgb(f32::from(c) / 255.0));
+    let look = shot.look.as_deref().unwrap_or(look);
     let made = generator.picture(present.scene, look, &present.lights, camera, background).await;
     let rgb = made.ok_or("the server has stopped rendering")?.map_err(|e| e.to_string())?;
     let [width, height] = [view.intrinsics.width, view.intrinsics.height];

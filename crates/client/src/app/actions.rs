@@ -15,7 +15,7 @@ use crate::panels::state_files::StateWish;
 use crate::view::frame_source::FrameSource;
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// Does what the keys say, and returns their movement of the camera.
+    /// Does what keys and buttons say, and returns their movement of the camera.
     pub(super) fn keys(&mut self, ctx: &egui::Context, now: Duration, picture: &Intrinsics) -> ControlInput {
         let focus = match ctx.memory(|m| m.focused()) {
             _ if ctx.text_edit_focused() => Focus::Text,
@@ -24,7 +24,8 @@ impl<S: FrameSource> ViewerApp<S> {
             Some(id) if id != picture_id() => Focus::Widget,
             _ => Focus::Picture,
         };
-        let actions = ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, focus));
+        let mut actions = std::mem::take(&mut self.chosen_actions);
+        actions.extend(ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, focus)));
         let mut input = ControlInput::default();
         for action in actions {
             match action {
@@ -36,7 +37,12 @@ impl<S: FrameSource> ViewerApp<S> {
                         controls.look_from(from, up);
                     }
                 }
-                Action::Numbers => self.shows_overlay = !self.shows_overlay,
+                Action::Numbers => self.shows_numbers = !self.shows_numbers,
+                Action::FullScreen => {
+                    self.shows_bars = !self.shows_bars;
+                    ctx.send_viewport_cmd(egui::ViewportCommand::Fullscreen(!self.shows_bars));
+                    ctx.request_repaint();
+                }
                 Action::LookPanel => self.is_look_open = !self.is_look_open,
                 Action::Box => self.aids.shows_box = !self.aids.shows_box,
                 Action::Clip => self.toggle_clip(now),
@@ -103,7 +109,9 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Gives the clip handles their events before the camera gets the rest.
     pub(super) fn drag_clip(&mut self, ctx: &egui::Context, now: Duration, events: &mut Vec<egui::Event>) {
         let (Some(view), Some(look)) = (self.clip_view, self.viewing.look()) else { return };
-        if let Some(clip) = self.clip_editor.take_events(events, &view, &look.clip, |at| is_free(ctx, at)) {
+        if let Some(clip) =
+            self.clip_editor.take_events(events, &view, &look.clip, |at| is_free(ctx, self.room, at))
+        {
             self.set_clip(now, clip);
             ctx.request_repaint();
         }

@@ -2,6 +2,7 @@
 //! frame is drawn.
 
 mod actions;
+mod bars;
 mod open_dialog;
 pub(crate) mod options;
 mod picture;
@@ -17,6 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::mode::Mode;
 use isinglass_core::space::Aabb;
 use isinglass_formats::{LoadRequest, ReadState, VolumeSource};
 use isinglass_net::{Clock, Link};
@@ -25,7 +27,7 @@ use self::open_dialog::OpenDialog;
 use self::options::{USUAL_HZ, WindowOptions};
 use self::state::ComingState;
 pub(crate) use self::state::theme_preference;
-use crate::input::bindings::{Action, Bindings, Focus};
+use crate::input::bindings::{Action, Focus};
 use crate::input::camera_controls::CameraControls;
 use crate::input::orientation::Orientation;
 use crate::input::pointer::Pointer;
@@ -34,6 +36,7 @@ use crate::paint::novel_view::NovelViews;
 use crate::paint::picture::PictureStatus;
 use crate::paint::stereo::Stereo;
 use crate::paint::view_aids::ViewAids;
+use crate::panels::gallery::Gallery;
 use crate::panels::parts_bar::PartsBar;
 use crate::panels::probe::ValueProbe;
 use crate::panels::screenshots::Screenshots;
@@ -88,7 +91,15 @@ pub(crate) struct ViewerApp<S> {
     stereo: Stereo,
     /// How often the person asked for the next mode since the last refresh.
     next_modes: usize,
-    shows_overlay: bool,
+    /// Whether the picture has bars and panels around it.
+    shows_bars: bool,
+    shows_numbers: bool,
+    /// What is left for the picture, points.
+    room: egui::Rect,
+    /// Actions of buttons and menus, to be done with those of keys.
+    chosen_actions: Vec<Action>,
+    /// The mode that was chosen since the last refresh.
+    chosen_mode: Option<Mode>,
     aids: ViewAids,
     is_orthographic: bool,
     clip_editor: ClipEditor,
@@ -109,6 +120,7 @@ pub(crate) struct ViewerApp<S> {
     pointer: Pointer,
     probe: ValueProbe,
     screenshots: Screenshots,
+    gallery: Gallery,
     wants_picture: bool,
     title: String,
     notice: Option<(String, Duration)>,
@@ -128,11 +140,16 @@ impl<S: FrameSource> ViewerApp<S> {
     ) -> Self {
         let opened_at = Duration::from_micros(clock.now_micros());
         let viewing = Viewing::new(source, options.frame_size, options.foresight);
+        let shows_panel = options.shows_panel;
         let quality = QualityControl::new(options.refresh_hz.unwrap_or(USUAL_HZ));
         Self {
             stereo: options.stereo,
-            shows_overlay: options.shows_overlay,
-            aids: ViewAids { shows_axes: options.shows_overlay, ..ViewAids::default() },
+            shows_bars: options.shows_bars,
+            shows_numbers: false,
+            room: egui::Rect::ZERO,
+            chosen_actions: Vec::new(),
+            chosen_mode: None,
+            aids: ViewAids { shows_axes: options.shows_bars, ..ViewAids::default() },
             is_orthographic: options.is_orthographic,
             clip_editor: ClipEditor::default(),
             clip_view: None,
@@ -160,10 +177,11 @@ impl<S: FrameSource> ViewerApp<S> {
             opens_volumes: false,
             window: None,
             shows_help: false,
-            is_look_open: false,
+            is_look_open: shows_panel,
             pointer: Pointer::default(),
             probe: ValueProbe::default(),
             screenshots: Screenshots::default(),
+            gallery: Gallery::default(),
             wants_picture: false,
             title: String::new(),
             notice: None,
@@ -218,10 +236,6 @@ impl<S: FrameSource> ViewerApp<S> {
         self.picture_status.submit_warm_up();
     }
 
-    pub(crate) fn bindings(&self) -> &Bindings {
-        &self.options.bindings
-    }
-
     /// The camera controls for the source's volume. A volume of another size is seen from the same side.
     fn controls(&mut self, picture: &Intrinsics) -> Option<&mut (Aabb, CameraControls)> {
         let bounds = self.viewing.source().description()?.volume.bounds();
@@ -266,8 +280,8 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
 }
 
 /// Whether no panel covers a point of the picture.
-fn is_free(ctx: &egui::Context, at: egui::Pos2) -> bool {
-    ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background)
+fn is_free(ctx: &egui::Context, room: egui::Rect, at: egui::Pos2) -> bool {
+    room.contains(at) && ctx.layer_id_at(at).is_none_or(|layer| layer.order == egui::Order::Background)
 }
 
 #[cfg(test)]

@@ -35,8 +35,10 @@ pub struct WindowOptions {
     pub foresight: Foresight,
     /// Refreshes a second to hold while the camera moves, by a coarser picture if needed; none: the display's rate.
     pub refresh_hz: Option<f32>,
-    /// Whether numbers, axes and scale bar are shown at first.
-    pub shows_overlay: bool,
+    /// Whether bars, panels, axes and scale bar are shown at first, or the picture alone.
+    pub shows_bars: bool,
+    /// Whether the panel of the look is open at first.
+    pub shows_panel: bool,
     /// Turns the camera by itself, degrees a second; 0: it stays.
     pub auto_orbit_degrees_per_second: f32,
     /// Other methods than the ray cast to choose from.
@@ -71,7 +73,8 @@ impl Default for WindowOptions {
             stereo: Stereo::default(),
             foresight: Foresight::default(),
             refresh_hz: None,
-            shows_overlay: true,
+            shows_bars: true,
+            shows_panel: false,
             auto_orbit_degrees_per_second: 0.0,
             novel_views: Vec::new(),
             novel_view: LAYERS,

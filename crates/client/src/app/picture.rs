@@ -73,7 +73,7 @@ impl<S: FrameSource> ViewerApp<S> {
         refresh: &Refresh,
     ) {
         let is_double = ctx.input(|i| i.pointer.button_double_clicked(PointerButton::Primary));
-        let at = ctx.pointer_interact_pos().filter(|at| is_double && rect.contains(*at) && is_free(ctx, *at));
+        let at = ctx.pointer_interact_pos().filter(|at| is_double && is_free(ctx, rect, *at));
         let (Some(at), Some(frame)) = (at, &refresh.frame) else { return };
         if !self.stereo().is_mono() || self.clip_editor.is_busy() {
             return;
@@ -124,8 +124,8 @@ impl<S: FrameSource> ViewerApp<S> {
 }
 
 /// Makes the picture a control that Tab reaches, with a name, and a frame while it has the keyboard.
-pub(super) fn picture_widget(ui: &egui::Ui, rect: egui::Rect, name: &str) {
-    let response = ui.interact(rect, picture_id(), egui::Sense::focusable_noninteractive());
+pub(super) fn picture_widget(ui: &egui::Ui, rect: egui::Rect, name: &str) -> egui::Response {
+    let response = ui.interact(rect, picture_id(), egui::Sense::click());
     response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
     if response.has_focus() {
         // Arrows move the camera and do not leave the picture.
@@ -135,6 +135,7 @@ pub(super) fn picture_widget(ui: &egui::Ui, rect: egui::Rect, name: &str) {
         let stroke = egui::Stroke::new(2.0, ui.visuals().selection.stroke.color);
         ui.painter().rect_stroke(rect, 0.0, stroke, egui::StrokeKind::Inside);
     }
+    response
 }
 
 pub(super) fn picture_id() -> egui::Id {

@@ -26,7 +26,12 @@ impl<S: FrameSource> ViewerApp<S> {
         let now = Duration::from_micros(self.clock.now_micros());
         let elapsed = now.saturating_sub(self.last_refresh);
         self.last_refresh = now;
-        let rect = ui.max_rect();
+        style::install_fonts(&ctx);
+        self.show_bars(ui, now);
+        self.set_modes(now);
+        let rect = self.room;
+        let ui = &mut ui.new_child(egui::UiBuilder::new().max_rect(rect));
+        ui.set_clip_rect(rect);
         self.take_states(&ctx, now, picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y));
         let window = picture_intrinsics(rect, ctx.pixels_per_point(), self.options.fov_y);
         self.window = Some(window);
@@ -42,7 +47,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         self.drop_empty_clip(now);
         self.drag_clip(&ctx, now, &mut events);
-        let free = |at| is_free(&ctx, at);
+        let free = |at| is_free(&ctx, rect, at);
         let mut input =
             self.pointer.control_input(&self.options.bindings, &events, rect, ctx.pixels_per_point(), free);
         // Zooming keeps a point of the eye's own picture in place.
@@ -85,21 +90,25 @@ impl<S: FrameSource> ViewerApp<S> {
             Some((r, frame)) => {
                 self.choose_center(&ctx, now, rect, r);
                 self.paint(ui, rect, r, frame.clone());
-                picture_widget(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
+                let picture = picture_widget(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
+                let mut chosen = None;
+                picture.context_menu(|ui| chosen = self.toolbar().show_menu(ui));
+                self.choose(chosen);
                 self.paint_aids(ui, now, rect, r);
                 self.show_probe(&ctx, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
-                    let (is_of_volume, taken) =
-                        (self.viewing.source().is_of_volume(&frame), self.taken_at_top(&ctx));
-                    banner::older_look(&ctx, is_of_volume, &state, taken);
+                    let is_of_volume = self.viewing.source().is_of_volume(&frame);
+                    banner::older_look(&ctx, is_of_volume, &state, self.room_at_top());
                 }
                 let model = self.overlay_model(r, is_active);
-                if self.shows_overlay {
-                    status::show(&ctx, &self.title, &model, self.right_width_at_top());
+                let volume_name = self.viewing.source().description().map(|d| d.volume.name.clone());
+                let volume_name = volume_name.unwrap_or_default();
+                if self.shows_bars && status::show(&ctx, rect, &volume_name, &model, self.shows_numbers) {
+                    self.chosen_actions.push(Action::Numbers);
                 }
                 self.report(now, &model);
-                if let Some(text) = self.banner(now, &model) {
-                    banner::show(&ctx, &text, self.taken_at_bottom(&ctx));
+                if let Some((text, is_trouble)) = self.banner(now, &model) {
+                    banner::show(&ctx, &text, is_trouble, self.room_at_bottom());
                 }
             }
             None => {
@@ -107,7 +116,6 @@ impl<S: FrameSource> ViewerApp<S> {
                 first_page::show(ui, &self.options.server_name, &state, seconds, &help);
             }
         }
-        self.show_look_panel(&ctx, now);
         self.show_parts(&ctx, now);
         self.show_screenshots(&ctx, now, refresh.as_ref());
         self.show_open_dialog(&ctx);
@@ -167,7 +175,7 @@ impl<S: FrameSource> ViewerApp<S> {
         if refresh.is_some_and(|r| r.is_ahead) && !is_dead {
             return Some(STILL);
         }
-        match (is_settled, self.shows_overlay) {
+        match (is_settled, self.shows_bars) {
             // Age, rates and badge change.
             (false, _) if !is_dead => Some(OVERLAY_PERIOD),
             // Only the rate of bytes still falls, or the age grows without a connection.
@@ -176,15 +184,17 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// News first, then trouble of the connection, then of the device.
-    fn banner(&self, now: Duration, model: &OverlayModel) -> Option<String> {
+    /// News first, then trouble of the connection, then of the device; and whether it is trouble.
+    fn banner(&self, now: Duration, model: &OverlayModel) -> Option<(String, bool)> {
         let problem = || {
             let problem = self.method_problem.clone().or_else(|| self.picture_status.problem())?;
             Some(format!("The newest frame cannot be shown: {problem}"))
         };
-        let notice =
-            || self.notice.as_ref().filter(|(_, at)| now < *at + NOTICE_TIME).map(|(n, _)| n.clone());
-        notice().or_else(|| model.banner()).or_else(problem)
+        let notice = self.notice.as_ref().filter(|(_, at)| now < *at + NOTICE_TIME);
+        match notice {
+            Some((text, _)) => Some((text.clone(), false)),
+            None => Some((model.banner().or_else(problem)?, true)),
+        }
     }
 
     fn report(&mut self, now: Duration, model: &OverlayModel) {

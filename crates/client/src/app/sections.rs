@@ -2,61 +2,26 @@
 
 use std::time::Duration;
 
-use egui::Vec2;
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
+use isinglass_core::wire::VolumeDescription;
 use isinglass_net::State;
 
 use super::side_panel::{self, LookSettings};
 use super::{AppWish, ViewerApp, is_free};
-use crate::paint::view_aids::{self, pixel_at};
+use crate::paint::view_aids::pixel_at;
 use crate::panels::browser::Chosen;
 use crate::panels::parts_bar::PartsWish;
 use crate::panels::screenshots::Subject;
-use crate::panels::style::Taken;
-use crate::panels::{light, mode, probe, status};
+use crate::panels::text::mode_name;
+use crate::panels::value_scale::ValueScale;
+use crate::panels::{light, mode, probe};
 use crate::view::frame_source::FrameSource;
 use crate::view::pick::visible_point;
 use crate::view::viewing::Refresh;
 use crate::view::waker_of;
 
 impl<S: FrameSource> ViewerApp<S> {
-    /// What the side panel takes of the window's right, points.
-    pub(crate) fn right_width(&self) -> f32 {
-        if self.is_look_open { side_panel::OPEN_WIDTH } else { 0.0 }
-    }
-
-    /// The same with the buttons beside it.
-    pub(crate) fn right_width_at_top(&self) -> f32 {
-        self.right_width().max(side_panel::FOLDED_WIDTH) + OPEN_BUTTON_WIDTH
-    }
-
-    /// The room taken at the top. Panes lie between the numbers and the buttons, or below these if there is too
-    /// little room.
-    pub(crate) fn taken_at_top(&self, ctx: &egui::Context) -> Taken {
-        let right = self.right_width_at_top();
-        let left = if self.shows_overlay { status::width_taken(ctx, right) } else { 0.0 };
-        let between = Taken { left, right, edge: 0.0 };
-        if between.width(ctx) >= LEAST_ROOM_AT_TOP {
-            return between;
-        }
-        // The badge alone is no higher than the buttons.
-        let left = if status::has_room_for_numbers(ctx, right) { left } else { 0.0 };
-        Taken { left, right: self.right_width(), edge: BUTTONS_HEIGHT }
-    }
-
-    /// The room taken at the bottom. Panes lie beside axes and scale bar, or above them if there is too little room.
-    pub(crate) fn taken_at_bottom(&self, ctx: &egui::Context) -> Taken {
-        let corner = if self.aids.shows_axes { view_aids::CORNER } else { Vec2::ZERO };
-        let (right, edge) = (self.right_width(), self.parts_bar.height());
-        let beside = Taken { left: corner.x, right, edge };
-        let lift = self.parts_bar.height_over(corner.x);
-        match beside.width(ctx) >= LEAST_ROOM {
-            true => beside,
-            false => Taken { left: 0.0, right, edge: edge.max(lift + corner.y) },
-        }
-    }
-
     /// What a screenshot shows: the present view.
     fn subject(&self, camera: &Camera) -> Option<Subject> {
         let (bounds, controls) = self.controls.as_ref()?;
@@ -91,14 +56,14 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
             }
         }
-        let taken = self.taken_at_top(ctx);
+        let room = self.room_at_top();
         let source = self.viewing.source_mut();
         let done = match source.state() {
             // No picture can come any more.
             State::Refused(_) => self.screenshots.end(source, ctx),
             _ => self.screenshots.poll(source, ctx),
         };
-        if let Some(notice) = self.screenshots.show(ctx, subject, source, taken).or(done) {
+        if let Some(notice) = self.screenshots.show(ctx, subject, source, room).or(done) {
             self.tell(now, notice);
             ctx.request_repaint();
         }
@@ -111,7 +76,7 @@ impl<S: FrameSource> ViewerApp<S> {
         if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
             return;
         }
-        let at = ctx.pointer_latest_pos().filter(|at| rect.contains(*at) && is_free(ctx, *at));
+        let at = ctx.pointer_latest_pos().filter(|at| is_free(ctx, rect, *at));
         let point = at.zip(refresh.frame.as_ref()).and_then(|(at, frame)| {
             let pixel = pixel_at(rect, &refresh.camera, at);
             let region = refresh.clip.region(&refresh.bounds);
@@ -142,17 +107,22 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.novel_views.selected, self.viewing.frame_size, self.stereo, self.aids, self.is_orthographic)
     }
 
-    pub(super) fn show_look_panel(&mut self, ctx: &egui::Context, now: Duration) {
+    pub(super) fn show_look_panel(&mut self, ui: &mut egui::Ui, now: Duration) {
+        let ctx = &ui.ctx().clone();
         let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
         self.editor.follow(&look.transfer, &scale);
         let Some((bounds, forward)) = self.controls.as_ref().map(|(b, c)| (*b, c.pose().forward())) else {
             return;
         };
         let world_from_view = self.world_from_view();
-        let unit = self.viewing.source().description().and_then(|d| d.volume.unit.clone());
+        let Some(description) = self.viewing.source().description() else { return };
+        let unit = description.volume.unit.clone();
+        self.poll_gallery(ctx, (&look, &scale), &description.volume);
         let before = self.shown_settings();
         let mut settings = LookSettings {
             look: (*look).clone(),
+            gallery: &self.gallery,
+            volume: &description.volume,
             frame_size: &mut self.viewing.frame_size,
             methods: &self.novel_views.names,
             method: &mut self.novel_views.selected,
@@ -167,8 +137,16 @@ impl<S: FrameSource> ViewerApp<S> {
             world_from_view,
         };
         let files = &mut self.state_files;
-        let wish =
-            side_panel::show(ctx, &mut self.is_look_open, &mut self.editor, &scale, &mut settings, files);
+        let frame = Self::panel_frame(ctx);
+        let wish = side_panel::show(
+            ui,
+            frame,
+            &mut self.is_look_open,
+            &mut self.editor,
+            &scale,
+            &mut settings,
+            files,
+        );
         let mut wanted = settings.look;
         if self.shown_settings() != before {
             // The picture beneath is drawn already.
@@ -179,11 +157,6 @@ impl<S: FrameSource> ViewerApp<S> {
             wanted.transfer = transfer;
         }
         wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
-        for _ in 0..std::mem::take(&mut self.next_modes) {
-            let next = wanted.mode.next();
-            mode::set_mode(&mut wanted, next, &scale);
-            self.tell(now, mode::text(next));
-        }
         if wanted != *look {
             self.viewing.set_look(now, wanted);
             // The picture has to be labelled as older.
@@ -191,6 +164,34 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         if let Some(wish) = wish {
             self.do_state(ctx, now, wish);
+        }
+    }
+
+    /// Has the pictures of presets and modes made while nothing moves.
+    fn poll_gallery(&mut self, ctx: &egui::Context, shown: (&Look, &ValueScale), volume: &VolumeDescription) {
+        if self.screenshots.is_busy() {
+            self.gallery.pause();
+        } else if self.is_look_open
+            && !self.was_active
+            && self.viewing.source().state() == State::Connected
+            && let Some((_, controls)) = &self.controls
+        {
+            let camera = (controls.pose(), self.options.fov_y);
+            self.gallery.poll(ctx, self.viewing.source(), shown, camera, volume);
+        }
+    }
+
+    /// Sets the mode that was chosen by the key or in the menu.
+    pub(super) fn set_modes(&mut self, now: Duration) {
+        let by_key = std::mem::take(&mut self.next_modes);
+        let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
+        let chosen = self.chosen_mode.take().unwrap_or(look.mode);
+        let next = (0..by_key).fold(chosen, |mode, _| mode.next());
+        if next != look.mode {
+            let mut wanted = (*look).clone();
+            mode::set_mode(&mut wanted, next, &scale);
+            self.viewing.set_look(now, wanted);
+            self.tell(now, mode_name(next));
         }
     }
 
@@ -209,8 +210,8 @@ impl<S: FrameSource> ViewerApp<S> {
             let talk = source.talk();
             (talk.selection.choices(), talk.selection.load())
         };
-        let (right, bindings) = (self.right_width(), &self.options.bindings);
-        let wish = self.parts_bar.show(ctx, now, right, bindings, parts.as_deref(), load.as_ref());
+        let (room, bindings) = (self.room, &self.options.bindings);
+        let wish = self.parts_bar.show(ctx, now, room, bindings, parts.as_deref(), load.as_ref());
         self.do_part(now, wish);
         if self.viewing.source().state() != State::Connected {
             self.parts_bar.forget();
@@ -230,13 +231,5 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 }
 
-/// Width of the button that leads to the start page, with a gap, points.
-const OPEN_BUTTON_WIDTH: f32 = 64.0;
-/// Height of the buttons from the window's upper edge, with a gap below, less that of a pane, points.
-const BUTTONS_HEIGHT: f32 = 42.0;
-/// Least width of a pane at the top, points.
-const LEAST_ROOM_AT_TOP: f32 = 180.0;
-/// Least width of a pane at the bottom, points.
-const LEAST_ROOM: f32 = 280.0;
 const NO_SERVER_FOR_PART: &str = "Nothing else can be opened: there is no connection to the server";
 const NO_SERVER_FOR_PICTURE: &str = "No picture: the server renders it, and there is no connection to it";

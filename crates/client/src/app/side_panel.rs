@@ -1,18 +1,19 @@
 //! The panel at the right. It composes the panels of the look, the frames, the clip, the view and the state.
 
-use egui::{Align2, RichText, Ui, vec2};
+use egui::{Panel, RichText, Ui};
 use glam::Vec3;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
 use isinglass_core::space::Aabb;
+use isinglass_core::wire::VolumeDescription;
 
 use crate::input::bindings::{Action, Bindings};
 use crate::paint::clip_editor::ClipEditor;
 use crate::paint::stereo::{self, MAX_EYE_ANGLE_DEGREES, Stereo};
 use crate::paint::view_aids::ViewAids;
 use crate::panels::controls::{self, percent, row};
+use crate::panels::gallery::Gallery;
 use crate::panels::state_files::{StateFiles, StateWish};
-use crate::panels::style::pane;
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
 use crate::panels::{clip, light, mode};
@@ -21,6 +22,8 @@ use crate::view::viewing::FrameSize;
 /// What the panel shows and changes beside the transfer function.
 pub(crate) struct LookSettings<'a> {
     pub(crate) look: Look,
+    pub(crate) gallery: &'a Gallery,
+    pub(crate) volume: &'a VolumeDescription,
     pub(crate) frame_size: &'a mut FrameSize,
     pub(crate) methods: &'a [&'static str],
     pub(crate) method: &'a mut usize,
@@ -37,9 +40,10 @@ pub(crate) struct LookSettings<'a> {
     pub(crate) world_from_view: glam::Quat,
 }
 
-/// Shows the panel, open or folded, and changes the settings. Returns what to do with states.
+/// Docks the panel at the right of `ui` while it is open, and changes the settings. Returns what to do with states.
 pub(crate) fn show(
-    ctx: &egui::Context,
+    ui: &mut Ui,
+    frame: egui::Frame,
     is_open: &mut bool,
     editor: &mut TransferEditor,
     scale: &ValueScale,
@@ -47,42 +51,36 @@ pub(crate) fn show(
     state_files: &mut StateFiles,
 ) -> Option<StateWish> {
     let mut wish = None;
-    // One area for both would keep the width of the open panel.
-    let area_id = egui::Id::unique(if *is_open { "look" } else { "look, folded" });
-    // The window's height without title and margins; the rest scrolls.
-    let height = (ctx.content_rect().height() - 70.0).max(100.0);
-    let area = egui::Area::new(area_id).anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0));
-    area.show(ctx, |ui| {
-        pane(ctx).show(ui, |ui| {
-            let title = egui::Button::new(RichText::new("Look").strong().size(13.0)).frame(false);
-            let hint = if *is_open { "click: fold" } else { "transfer function, shading, view" };
-            let hint = settings.bindings.with_key(hint, Action::LookPanel);
-            if ui.add(title).on_hover_text(hint).clicked() {
-                *is_open = !*is_open;
-            }
-            if !*is_open {
-                return;
-            }
-            ui.set_width(PANEL_WIDTH);
-            // An area keeps its height of the refresh before: without a least height it would never grow with its
-            // content.
-            let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
-            scroll.show(ui, |ui| {
-                ui.set_width(PANEL_WIDTH);
-                mode::show(ui, &mut settings.look, scale);
-                section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
-                section(ui, "Light", false, |ui| {
-                    light::show(ui, &mut settings.look.lighting, settings.world_from_view);
-                });
-                section(ui, "Frames", false, |ui| frames(ui, settings));
-                section(ui, "Clip", false, |ui| {
-                    let LookSettings { look, clip_editor, bounds, unit, forward, bindings, .. } =
-                        &mut *settings;
-                    clip::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
-                });
-                section(ui, "View", false, |ui| view(ui, settings));
-                section(ui, "State", false, |ui| wish = state_files.show(ui));
+    if !*is_open {
+        return None;
+    }
+    // A small window keeps most of its room for the picture.
+    let widest = (ui.available_width() * 0.6).max(LEAST_WIDTH);
+    let panel = Panel::right("look").frame(frame).resizable(true).default_size(PANEL_WIDTH.min(widest));
+    panel.size_range(LEAST_WIDTH.min(widest)..=widest).show(ui, |ui| {
+        // A child of its own: what is too wide must not widen the panel.
+        let room = ui.available_rect_before_wrap();
+        let mut inside = ui.new_child(egui::UiBuilder::new().max_rect(room));
+        ui.advance_cursor_after_rect(room);
+        egui::ScrollArea::vertical().auto_shrink(false).show(&mut inside, |ui| {
+            section(ui, "Presets", true, |ui| {
+                if let Some(entry) = settings.gallery.show(ui, &settings.look, settings.volume) {
+                    editor.note_present();
+                    entry.set(&mut settings.look, scale);
+                }
             });
+            mode::show(ui, &mut settings.look, scale);
+            section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
+            section(ui, "Light", false, |ui| {
+                light::show(ui, &mut settings.look, settings.world_from_view);
+            });
+            section(ui, "Clip", false, |ui| {
+                let LookSettings { look, clip_editor, bounds, unit, forward, bindings, .. } = &mut *settings;
+                clip::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
+            });
+            section(ui, "View", false, |ui| view(ui, settings));
+            section(ui, "Advanced", false, |ui| frames(ui, settings));
+            section(ui, "State", false, |ui| wish = state_files.show(ui));
         });
     });
     wish
@@ -96,15 +94,12 @@ fn section(ui: &mut Ui, title: &str, is_open: bool, content: impl FnOnce(&mut Ui
 fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     let LookSettings { look, frame_size, methods, method, stereo, .. } = settings;
     egui::Grid::new("frames").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
-        row(ui, "shading", "by gradients, with a light fixed in the world", |ui| {
-            ui.checkbox(&mut look.shaded, "")
-        });
-        row(ui, "segments a ray", "K: more is truer after a turn, and more to send", |ui| {
+        row(ui, "layers per pixel", "more follow a turn better, and take more of the network", |ui| {
             let slider = egui::Slider::new(&mut look.k, 1..=MAX_K as u8).update_while_editing(false);
             ui.add(slider.custom_parser(controls::reader(ui)))
         });
         if methods.len() > 1 {
-            row(ui, "picture by", "how the server's frames become pictures here", |ui| {
+            row(ui, "method", "how the server's frames become pictures here", |ui| {
                 let combo = egui::ComboBox::from_id_salt("method").selected_text(methods[**method]);
                 let choices = |ui: &mut Ui| {
                     for (number, name) in methods.iter().enumerate() {
@@ -114,7 +109,7 @@ fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
                 combo.show_ui(ui, choices).response
             });
         }
-        row(ui, "frame size", "of the server's frames, in units of the window's", |ui| {
+        row(ui, "server resolution", "of the server's frames, relative to the picture", |ui| {
             percent(ui, &mut frame_size.scale, 25.0..=100.0)
         });
         if **method == 0 {
@@ -180,9 +175,6 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     });
 }
 
-/// Room for nine points of a curve, and for a third of a small screen beside it, points.
-const PANEL_WIDTH: f32 = 312.0;
-/// What the folded panel takes of the window's right, with a gap, points.
-pub(crate) const FOLDED_WIDTH: f32 = 74.0;
-/// What the open panel takes of the window's right, with a gap, points.
-pub(crate) const OPEN_WIDTH: f32 = PANEL_WIDTH + 40.0;
+/// Room for nine points of a curve, points.
+const PANEL_WIDTH: f32 = 336.0;
+const LEAST_WIDTH: f32 = 280.0;

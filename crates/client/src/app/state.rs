@@ -117,7 +117,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let view = SavedView {
             shows_box: Some(self.aids.shows_box),
             shows_axes: Some(self.aids.shows_axes),
-            shows_numbers: Some(self.shows_overlay),
+            shows_numbers: Some(self.shows_numbers),
             background: Some(Srgb(self.aids.background)),
             theme: THEMES
                 .iter()
@@ -127,7 +127,6 @@ impl<S: FrameSource> ViewerApp<S> {
             orthographic: Some(self.is_orthographic),
             eye_angle_degrees: Some(self.stereo.eye_angle_degrees),
             frame_scale: Some(self.viewing.frame_size.scale),
-            method: Some(self.novel_views.names[self.novel_views.selected].into()),
         };
         Some(SavedState {
             volume: Some(volume),
@@ -154,7 +153,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let set = |to: &mut bool, from: Option<bool>| *to = from.unwrap_or(*to);
         set(&mut self.aids.shows_box, view.shows_box);
         set(&mut self.aids.shows_axes, view.shows_axes);
-        set(&mut self.shows_overlay, view.shows_numbers);
+        set(&mut self.shows_numbers, view.shows_numbers);
         set(&mut self.is_orthographic, view.orthographic);
         self.aids.background = view.background.map_or(self.aids.background, |Srgb(rgb)| rgb);
         if let Some(theme) = view.theme {
@@ -163,12 +162,6 @@ impl<S: FrameSource> ViewerApp<S> {
         self.stereo.mode = view.stereo.unwrap_or(self.stereo.mode);
         self.stereo.eye_angle_degrees = view.eye_angle_degrees.unwrap_or(self.stereo.eye_angle_degrees);
         self.viewing.frame_size.scale = view.frame_scale.unwrap_or(self.viewing.frame_size.scale);
-        if let Some(method) = &view.method {
-            match self.novel_views.names.iter().position(|name| name == method) {
-                Some(index) => self.novel_views.selected = index,
-                None => note = note.or_else(|| Some(format!("pictures by {method:.40} cannot be made here"))),
-            }
-        }
         if let Some(camera) = &state.camera {
             self.options.fov_y = camera.fov_y();
             let picture = self.stereo().eye_intrinsics(window.with_fov_y(camera.fov_y()));
@@ -195,13 +188,11 @@ impl<S: FrameSource> ViewerApp<S> {
             return;
         }
         if let Some(state) = self.options.state.take() {
-            if let Some(camera) = &state.camera
-                && ctx.pixels_per_point() != 1.0
-                && self.options.state_sets_size
-            {
-                // The number of pixels a point was not known when the window opened.
+            if let Some(camera) = state.camera.as_ref().filter(|_| self.options.state_sets_size) {
+                // What the bars take and the number of pixels a point were not known when the window opened.
                 let [width, height] = camera.size.map(|side| side as f32 / ctx.pixels_per_point());
-                ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(egui::vec2(width, height)));
+                let bars = ctx.content_rect().size() - self.room.size();
+                ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(egui::vec2(width, height) + bars));
             }
             self.turn_to_state(ReadState { state, note: None });
         }
@@ -387,7 +378,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let text = match self.link_to(state) {
             Some(link) => {
                 ctx.copy_text(link);
-                "a link to this view is in the clipboard; it lets nobody in"
+                "a link to this view is in the clipboard; it gives no access to the server"
             }
             None => "there is no server that a link could name",
         };

@@ -3,27 +3,31 @@
 use egui::{Align2, Color32, RichText, vec2};
 use isinglass_net::State;
 
-use super::style::{Taken, pane};
+use super::style::{bright, pane};
 
-/// Shows news, or trouble of the connection, at the bottom.
-pub(crate) fn show(ctx: &egui::Context, text: &str, taken: Taken) {
+/// Shows news at the bottom, or trouble in amber.
+pub(crate) fn show(ctx: &egui::Context, text: &str, is_trouble: bool, room: egui::Rect) {
     let area = egui::Area::new(egui::Id::unique("banner"));
-    let area = area.anchor(Align2::CENTER_BOTTOM, vec2(taken.shift(), -12.0 - taken.edge));
+    let area = area.constrain_to(room).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
+    let (fill, color) = match is_trouble {
+        true => (Color32::from_rgba_unmultiplied(62, 48, 20, 235), Color32::from_rgb(245, 220, 165)),
+        false => (pane(ctx).fill, bright(ctx)),
+    };
     area.interactable(false).show(ctx, |ui| {
-        pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
-            ui.set_max_width((taken.width(ctx) - 40.0).max(100.0));
-            ui.label(RichText::new(text).color(Color32::from_rgb(245, 220, 165)).size(13.0));
+        pane(ctx).fill(fill).show(ui, |ui| {
+            ui.set_max_width((room.width() - 40.0).max(100.0));
+            ui.label(RichText::new(text).color(color).size(13.0));
         });
     });
 }
 
 /// Shows at the top that the picture has an older look than was requested.
-pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool, state: &State, taken: Taken) {
+pub(crate) fn older_look(ctx: &egui::Context, is_of_volume: bool, state: &State, room: egui::Rect) {
     let area = egui::Area::new(egui::Id::unique("older look"));
-    let area = area.anchor(Align2::CENTER_TOP, vec2(taken.shift(), 12.0 + taken.edge));
+    let area = area.constrain_to(room).anchor(Align2::CENTER_TOP, vec2(0.0, 12.0));
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
-            ui.set_max_width((taken.width(ctx) - 40.0).max(60.0));
+            ui.set_max_width((room.width() - 40.0).max(60.0));
             let what = if is_of_volume { "shown with the look before" } else { "the volume before" };
             let coming = match state {
                 State::Connected => "the new one is on its way",

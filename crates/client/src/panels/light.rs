@@ -4,14 +4,17 @@ use std::ops::RangeInclusive;
 
 use egui::{Color32, Rect, Response, Sense, Stroke, Ui, Vec2, pos2, vec2};
 use glam::{Quat, Vec3};
+use isinglass_core::look::Look;
 use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES};
 
 use super::controls::{self, percent, row};
 use super::style::named;
 
 /// Shows the section and changes the light. `world_from_view` is the rotation of the camera.
-pub(crate) fn show(ui: &mut Ui, lighting: &mut Lighting, world_from_view: Quat) {
+pub(crate) fn show(ui: &mut Ui, look: &mut Look, world_from_view: Quat) {
+    let Look { shaded, lighting, .. } = look;
     egui::Grid::new("light").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+        row(ui, "shading", "shows surfaces by how they face the light", |ui| ui.checkbox(shaded, ""));
         row(ui, "ambient occlusion", "how much darker matter is that sees little of the sky", |ui| {
             percent(ui, &mut lighting.ambient_occlusion, 0.0..=100.0)
         });

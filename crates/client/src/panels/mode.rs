@@ -5,17 +5,17 @@ use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Isos, MAX_ISOS, Mode};
 
 use super::controls::{self, named_number};
-use super::text::format_in;
+use super::text::{format_in, mode_name};
 use super::value_scale::ValueScale;
 
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     ui.horizontal(|ui| {
         let label = ui.label("mode").on_hover_text("what a pixel tells of its ray (m: the next one)");
-        let combo = egui::ComboBox::from_id_salt("mode").selected_text(text(look.mode));
+        let combo = egui::ComboBox::from_id_salt("mode").selected_text(mode_name(look.mode));
         let mut mode = look.mode;
         let combo = combo.show_ui(ui, |ui| {
             for each in Mode::ALL {
-                ui.selectable_value(&mut mode, each, text(each));
+                ui.selectable_value(&mut mode, each, mode_name(each));
             }
         });
         combo.response.labelled_by(label.id);
@@ -90,16 +90,6 @@ fn another(isos: &[Iso], (lo, hi): (f32, f32)) -> Iso {
             let highest = isos.iter().map(|iso| iso.value).fold(lo, f32::max).min(hi);
             Iso { value: 0.5 * (highest + hi), opacity: 1.0 }
         }
-    }
-}
-
-pub(crate) fn text(mode: Mode) -> &'static str {
-    match mode {
-        Mode::Composite => "composite",
-        Mode::Mip => "MIP: greatest value",
-        Mode::MinIp => "MinIP: least value",
-        Mode::Average => "average (X-ray)",
-        Mode::Iso => "isosurface",
     }
 }
 

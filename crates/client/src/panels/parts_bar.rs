@@ -72,12 +72,12 @@ impl PartsBar {
         if self.left < width { self.height } else { 0.0 }
     }
 
-    /// Shows the bar if there is a choice; returns the choice. The last `right` points of the window are taken.
+    /// Shows the bar in `room` if there is a choice; returns the choice.
     pub(crate) fn show(
         &mut self,
         ctx: &egui::Context,
         now: Duration,
-        right: f32,
+        room: egui::Rect,
         bindings: &Bindings,
         parts: Option<&Choices>,
         load: Option<&LoadStatus>,
@@ -88,12 +88,12 @@ impl PartsBar {
         let mut chosen = self.chosen(parts, load);
         let before = chosen;
         let mut wish = None;
-        let room = (ctx.content_rect().width() - right - 44.0).max(160.0);
-        let place = (Align2::CENTER_BOTTOM, [-0.5 * right, -10.0]);
-        let shown = pane_at(ctx, "parts", place, |ui| {
+        let width = (room.width() - 44.0).max(160.0);
+        let place = (Align2::CENTER_BOTTOM, [0.0, -10.0]);
+        let shown = pane_at(ctx, "parts", room, place, |ui| {
             ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
-            ui.set_max_width(room);
-            if self.row_width > room {
+            ui.set_max_width(width);
+            if self.row_width > width {
                 ui.horizontal_wrapped(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
             } else {
                 let row = ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
@@ -106,7 +106,7 @@ impl PartsBar {
             }
         });
         let rect = shown.response.rect;
-        (self.height, self.left) = (rect.height() + 10.0, rect.left() - ctx.content_rect().left());
+        (self.height, self.left) = (rect.height() + 10.0, rect.left() - room.left());
         if chosen != before {
             wish = Some(self.open(chosen, load));
         }
@@ -157,7 +157,6 @@ impl PartsBar {
                 row.inner
             }
             LoadState::Failed(problem) if self.failed.is_some_and(|(_, since)| !since.is_zero()) => {
-                ui.set_max_width((ui.ctx().content_rect().width() - 80.0).max(200.0));
                 let color = warning(ui);
                 ui.add(egui::Label::new(RichText::new(problem).size(12.0).color(color)).wrap());
                 false

@@ -17,7 +17,7 @@ use time::OffsetDateTime;
 
 use super::background::Background;
 use super::controls::whole;
-use super::style::{Taken, pane_at};
+use super::style::pane_at;
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
 
@@ -109,7 +109,7 @@ impl Screenshots {
         match &mut series.stage {
             PictureStage::Due => {
                 let Subject { intrinsics, background, .. } = series.subject;
-                let id = source.talk().screenshot.request(series.pose(), intrinsics, background);
+                let id = source.talk().screenshot.request(series.pose(), intrinsics, background, None);
                 series.stage = PictureStage::Requested(id);
                 None
             }
@@ -154,7 +154,7 @@ impl Screenshots {
         }
     }
 
-    #[cfg(test)]
+    /// Whether pictures are in progress.
     pub(crate) fn is_busy(&self) -> bool {
         self.series.is_some()
     }
@@ -181,19 +181,19 @@ impl Screenshots {
         Some(series.stopped())
     }
 
-    /// Shows the dialog if it is open, and the progress if there is any. `taken` is the room taken at the top.
+    /// Shows the dialog if it is open, and the progress if there is any. `room` is the room for panes at the top.
     /// Returns news for the person.
     pub(crate) fn show(
         &mut self,
         ctx: &Context,
         subject: Option<Subject>,
         source: &mut impl FrameSource,
-        taken: Taken,
+        room: egui::Rect,
     ) -> Option<String> {
         let mut is_cancelled = false;
         let is_connected = source.state() == State::Connected;
         if let Some(series) = &self.series {
-            is_cancelled = show_progress(ctx, series, is_connected, taken);
+            is_cancelled = show_progress(ctx, series, is_connected, room);
         }
         if self.is_dialog_open {
             self.show_dialog(ctx, subject, is_connected);
@@ -290,8 +290,8 @@ impl Series {
 }
 
 /// Shows the progress of a series; returns whether to cancel it.
-fn show_progress(ctx: &Context, series: &Series, is_connected: bool, taken: Taken) -> bool {
-    let place = (Align2::CENTER_TOP, [taken.shift(), 46.0 + taken.edge]);
+fn show_progress(ctx: &Context, series: &Series, is_connected: bool, room: egui::Rect) -> bool {
+    let place = (Align2::CENTER_TOP, [0.0, 46.0]);
     let row = |ui: &mut egui::Ui| {
         let text = match series.total {
             1 if is_connected => "the server renders the picture".to_owned(),
@@ -310,7 +310,7 @@ fn show_progress(ctx: &Context, series: &Series, is_connected: bool, taken: Take
         }
         ui.button("Cancel").clicked()
     };
-    pane_at(ctx, "pictures", place, |ui| ui.horizontal(row).inner).inner
+    pane_at(ctx, "pictures", room, place, |ui| ui.horizontal(row).inner).inner
 }
 
 /// A minute at 60 pictures a second.

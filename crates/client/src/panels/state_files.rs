@@ -73,7 +73,7 @@ impl StateFiles {
             for (text, hint, wanted) in [
                 (save, "all that is seen, and how, as TOML", StateWish::Save),
                 ("open state", open_hint, StateWish::Open),
-                ("copy link", "to what is seen; it lets nobody in", StateWish::CopyLink),
+                ("copy link", "to this view; it gives no access to the server", StateWish::CopyLink),
             ] {
                 if ui.add_enabled(is_free, egui::Button::new(text)).on_hover_text(hint).clicked() {
                     wish = Some(wanted);

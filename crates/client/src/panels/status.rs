@@ -1,11 +1,12 @@
-//! The numbers at the top left: connection, age of the frame, times and rates.
+//! The badge at the top left, and the numbers behind it: connection, age of the frame, times and rates.
 
 use std::time::Duration;
 
 use egui::{Align2, Color32, RichText, Ui, vec2};
 use isinglass_net::State;
+use lucide_icons::Icon;
 
-use super::style::{bright, pane_at, quiet};
+use super::style::{bright, icon, pane_at, quiet};
 use super::text::{format_duration, format_rate, sentence};
 use crate::view::viewing::Standing;
 
@@ -123,42 +124,68 @@ fn state_word(state: &State) -> &'static str {
     }
 }
 
-/// What the numbers take of the window's left, with a gap, points. `right` points are taken on the right.
-pub(crate) fn width_taken(ctx: &egui::Context, right: f32) -> f32 {
-    let width = if has_room_for_numbers(ctx, right) { OVERLAY_WIDTH } else { BADGE_WIDTH };
-    width + OVERLAY_GAPS
+/// What the badge takes of the picture's upper left corner, with the numbers or without, with gaps, points.
+pub(crate) fn size_taken(shows_numbers: bool) -> egui::Vec2 {
+    if shows_numbers { vec2(NUMBERS_WIDTH + GAPS, 230.0) } else { vec2(BADGE_WIDTH + GAPS, 40.0) }
 }
 
-/// Whether there is room for more than the badge.
-pub(crate) fn has_room_for_numbers(ctx: &egui::Context, right: f32) -> bool {
-    OVERLAY_WIDTH + OVERLAY_GAPS + right <= ctx.content_rect().width()
-}
-
-/// Shows the numbers at the top left, or the badge alone in a narrow window. `title` is the volume's name; `right`
-/// points are taken on the right.
-pub(crate) fn show(ctx: &egui::Context, title: &str, model: &OverlayModel, right: f32) {
-    let has_numbers = has_room_for_numbers(ctx, right);
-    pane_at(ctx, "overlay", (Align2::LEFT_TOP, [10.0, 10.0]), |ui| {
+/// Shows the name of the volume and the badge at the top left of `room`, and the numbers below if they are wanted.
+/// Returns whether the person switches the numbers.
+pub(crate) fn show(
+    ctx: &egui::Context,
+    room: egui::Rect,
+    name: &str,
+    model: &OverlayModel,
+    shows_numbers: bool,
+) -> bool {
+    let place = (Align2::LEFT_TOP, [10.0, 10.0]);
+    let shown = pane_at(ctx, "overlay", room, place, |ui| {
         // A fixed width: the pane must not change its size with the digits.
-        ui.set_width(if has_numbers { OVERLAY_WIDTH } else { BADGE_WIDTH });
+        let width = if shows_numbers { NUMBERS_WIDTH } else { BADGE_WIDTH };
+        ui.set_width(width.min((room.width() - GAPS).max(60.0)));
         ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
         ui.spacing_mut().interact_size.y = 0.0;
-        if has_numbers && !title.is_empty() {
-            ui.add(egui::Label::new(RichText::new(title).color(bright(ctx)).size(12.0)).truncate());
-        }
-        badge(ui, model.standing);
-        if has_numbers {
+        let line = vec2(ui.available_width(), 20.0);
+        let switched =
+            ui.allocate_ui_with_layout(line, egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                let numbers = egui::Button::new(icon(Icon::Info).size(14.0)).frame(false);
+                let numbers = ui.add(numbers).on_hover_text("network and frames, in numbers");
+                numbers.widget_info(|| {
+                    egui::WidgetInfo::selected(egui::Role::CheckBox, true, shows_numbers, "numbers")
+                });
+                badge(ui, model.standing);
+                ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
+                    ui.add(egui::Label::new(RichText::new(name).color(bright(ctx)).size(13.0)).truncate());
+                });
+                numbers.clicked()
+            });
+        if shows_numbers {
             ui.add_space(3.0);
             for (name, value) in model.rows() {
                 row(ui, name, &value);
             }
         }
+        switched.inner
     });
+    shown.inner
 }
 
-fn badge(ui: &mut Ui, standing: Standing) {
+/// A dot in the colour of the connection's state.
+pub(crate) fn connection_dot(ui: &mut Ui, state: &State) {
+    let standing = match state {
+        State::Connected => Standing::Exact,
+        State::Connecting { .. } => Standing::Waiting,
+        State::Reconnecting { .. } | State::Refused(_) => Standing::Offline,
+    };
+    let color = color(ui, standing);
+    let (dot, response) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
+    ui.painter().circle_filled(dot.center(), 4.0, color);
+    response.on_hover_text(state_word(state));
+}
+
+fn color(ui: &Ui, standing: Standing) -> Color32 {
     let is_dark = ui.visuals().dark_mode;
-    let color = match standing {
+    match standing {
         Standing::Exact | Standing::Settled if is_dark => Color32::from_rgb(110, 205, 130),
         Standing::Exact | Standing::Settled => Color32::from_rgb(20, 120, 45),
         Standing::Moving if is_dark => Color32::from_rgb(120, 175, 240),
@@ -166,13 +193,16 @@ fn badge(ui: &mut Ui, standing: Standing) {
         Standing::Refining | Standing::Offline if is_dark => Color32::from_rgb(235, 190, 95),
         Standing::Refining | Standing::Offline => Color32::from_rgb(150, 90, 0),
         Standing::Waiting => quiet(ui.ctx()),
-    };
-    let line = ui.horizontal(|ui| {
-        let (dot, _) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
-        ui.painter().circle_filled(dot.center(), 4.0, color);
-        ui.label(RichText::new(standing.word()).color(color).strong().size(13.0));
-    });
-    line.response.on_hover_text(standing.explanation());
+    }
+}
+
+fn badge(ui: &mut Ui, standing: Standing) {
+    let color = color(ui, standing);
+    // The line goes from right to left.
+    let word = ui.label(RichText::new(standing.word()).color(color).strong().size(13.0));
+    let (dot, _) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
+    ui.painter().circle_filled(dot.center(), 4.0, color);
+    word.on_hover_text(standing.explanation());
 }
 
 fn row(ui: &mut Ui, name: &str, value: &str) {
@@ -189,11 +219,11 @@ fn dash() -> String {
 }
 
 /// Width of the numbers, points.
-const OVERLAY_WIDTH: f32 = 190.0;
-/// Width of the badge's longest word, points.
-const BADGE_WIDTH: f32 = 66.0;
-/// Gaps around the numbers and in their pane, points.
-const OVERLAY_GAPS: f32 = 42.0;
+const NUMBERS_WIDTH: f32 = 220.0;
+/// Width of the name and the badge, points.
+const BADGE_WIDTH: f32 = 220.0;
+/// Gaps around the pane and in it, points.
+const GAPS: f32 = 42.0;
 
 #[cfg(test)]
 mod tests {

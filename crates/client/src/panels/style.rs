@@ -1,26 +1,9 @@
-//! What all panels share: panes, colours, names for screen readers, and the room that a pane has.
+//! What all panels share: panes, bars, icons, colours, and names for screen readers.
 
-use egui::{Color32, Frame, Margin, Stroke, Ui};
+use std::sync::Arc;
 
-/// The room that is taken around a pane, points.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Taken {
-    pub(crate) left: f32,
-    pub(crate) right: f32,
-    /// At the edge of the window where the pane lies.
-    pub(crate) edge: f32,
-}
-
-impl Taken {
-    pub(crate) fn width(&self, ctx: &egui::Context) -> f32 {
-        ctx.content_rect().width() - self.left - self.right
-    }
-
-    /// From the middle of the window to the middle of the room.
-    pub(crate) fn shift(&self) -> f32 {
-        0.5 * (self.left - self.right)
-    }
-}
+use egui::{Color32, FontData, FontDefinitions, Frame, Margin, Rect, RichText, Stroke, Ui};
+use lucide_icons::{Icon, LUCIDE_FONT_BYTES};
 
 /// A pane on which text is readable over any picture.
 pub(crate) fn pane(ctx: &egui::Context) -> Frame {
@@ -36,15 +19,46 @@ pub(crate) fn pane(ctx: &egui::Context) -> Frame {
         .inner_margin(Margin::symmetric(10, 8))
 }
 
-/// Shows a pane at an edge or corner of the window, `offset` points from there.
+/// Shows a pane at an edge or corner of `room`, `offset` points from there.
 pub(crate) fn pane_at<R>(
     ctx: &egui::Context,
     id: &str,
+    room: Rect,
     (align, offset): (egui::Align2, [f32; 2]),
     content: impl FnOnce(&mut Ui) -> R,
 ) -> egui::InnerResponse<R> {
-    let area = egui::Area::new(egui::Id::unique(id)).anchor(align, offset);
+    let area = egui::Area::new(egui::Id::unique(id)).constrain_to(room).anchor(align, offset);
     area.show(ctx, |ui| pane(ctx).show(ui, content).inner)
+}
+
+/// A bar at the edge of the window, on which the picture never lies.
+pub(crate) fn bar(ctx: &egui::Context) -> Frame {
+    Frame::new().fill(surface(ctx)).inner_margin(Margin::symmetric(8, 4))
+}
+
+/// Colour of bars and of the docked panel.
+pub(crate) fn surface(ctx: &egui::Context) -> Color32 {
+    if is_dark(ctx) { Color32::from_rgb(24, 26, 31) } else { Color32::from_rgb(243, 244, 246) }
+}
+
+/// An icon as text.
+pub(crate) fn icon(icon: Icon) -> RichText {
+    RichText::new(icon.unicode()).size(ICON_SIZE)
+}
+
+/// Gives a window its fonts, once.
+pub(crate) fn install_fonts(ctx: &egui::Context) {
+    let id = egui::Id::unique("fonts are installed");
+    if ctx.data_mut(|data| std::mem::replace(data.get_temp_mut_or_default::<bool>(id), true)) {
+        return;
+    }
+    let mut fonts = FontDefinitions::default();
+    fonts.font_data.insert("icons".into(), Arc::new(FontData::from_static(LUCIDE_FONT_BYTES)));
+    for family in fonts.families.values_mut() {
+        // Text looks here only for what its own font lacks.
+        family.insert(family.len().min(1), "icons".into());
+    }
+    ctx.set_fonts(fonts);
 }
 
 fn is_dark(ctx: &egui::Context) -> bool {
@@ -75,12 +89,12 @@ pub(crate) fn name_window(ctx: &egui::Context, name: &str) {
 
 /// Shows what went wrong.
 pub(crate) fn problem(ui: &mut Ui, text: &str) {
-    let text = egui::RichText::new(text).color(warning(ui));
+    let text = RichText::new(text).color(warning(ui));
     ui.add(egui::Label::new(text).wrap());
 }
 
 /// Names something painted for screen readers.
-pub(crate) fn image(ui: &Ui, rect: egui::Rect, id: &str, name: &str) {
+pub(crate) fn image(ui: &Ui, rect: Rect, id: &str, name: &str) {
     let response = ui.interact(rect, egui::Id::unique(id), egui::Sense::hover());
     response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
 }
@@ -100,8 +114,11 @@ pub(crate) fn emblem(painter: &egui::Painter, center: egui::Pos2, scale: f32, is
     for i in 0..4u8 {
         let shift = (f32::from(i) * 9.0 - 13.5) * scale;
         let size = egui::vec2(54.0, 40.0) * scale;
-        let sheet = egui::Rect::from_center_size(center + egui::vec2(shift, -shift * 0.6), size);
+        let sheet = Rect::from_center_size(center + egui::vec2(shift, -shift * 0.6), size);
         painter.rect_filled(sheet, 4.0 * scale, fill);
         painter.rect_stroke(sheet, 4.0 * scale, Stroke::new(1.0, line), egui::StrokeKind::Inside);
     }
 }
+
+/// Size of icons, points.
+pub(crate) const ICON_SIZE: f32 = 16.0;

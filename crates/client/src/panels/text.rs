@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use isinglass_core::mode::Mode;
+
 /// An error message as a sentence.
 pub(crate) fn sentence(problem: &impl std::fmt::Display) -> String {
     let mut text = problem.to_string();
@@ -82,6 +84,17 @@ pub(crate) fn format_in(value: f32, span: f32) -> String {
             if part.is_empty() { whole.to_owned() } else { format!("{whole}.{part}") }
         }
         None => text,
+    }
+}
+
+/// The mode in the person's words.
+pub(crate) fn mode_name(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Composite => "composite",
+        Mode::Mip => "MIP: greatest value",
+        Mode::MinIp => "MinIP: least value",
+        Mode::Average => "average (X-ray)",
+        Mode::Iso => "isosurface",
     }
 }
 

@@ -21,9 +21,7 @@ use self::opening::{Opened, Opening, later};
 use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
 use self::recent_list::RecentList;
 pub use self::services::{First, Services};
-use crate::app::side_panel::FOLDED_WIDTH;
 use crate::app::{AppWish, Origin, ViewerApp};
-use crate::input::bindings::Action;
 use crate::panels::background::Background;
 use crate::panels::style::{self, name_window, named, pane_at};
 use crate::view::frame_source::FrameSource;
@@ -291,23 +289,15 @@ impl StartWindow {
         }
     }
 
-    /// Shows the button to the page, and the progress of an opening.
+    /// Shows the progress of an opening.
     fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
-        let right = self.app.right_width().max(FOLDED_WIDTH);
-        let button = egui::Button::new(RichText::new("Open").size(13.0)).frame(false);
-        let shown = pane_at(ctx, "open", (Align2::RIGHT_TOP, [-right, 10.0]), |ui| ui.add(button));
-        let hint = self.app.bindings().with_key("another volume or server", Action::Start);
-        if shown.inner.on_hover_text(hint).clicked() {
-            self.show_page();
-        }
         if self.opening.is_none() && self.problem.is_none() {
             return None;
         }
         let mut wish = None;
-        let taken = self.app.taken_at_bottom(ctx);
-        let place = (Align2::CENTER_BOTTOM, [taken.shift(), -12.0 - taken.edge]);
-        pane_at(ctx, "opening", place, |ui| {
-            ui.set_max_width((taken.width(ctx) - 40.0).clamp(180.0, 420.0));
+        let room = self.app.room_at_bottom();
+        pane_at(ctx, "opening", room, (Align2::CENTER_BOTTOM, [0.0, -12.0]), |ui| {
+            ui.set_max_width((room.width() - 40.0).clamp(180.0, 420.0));
             if let Some(opening) = &self.opening {
                 ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
                 wish = opening_rows(ui, opening, false);

@@ -13,6 +13,7 @@ use std::sync::Arc;
 use super::pace::Pace;
 use crate::camera::{Intrinsics, Pose};
 use crate::ids::ScreenshotId;
+use crate::look::Look;
 use crate::wire::control::one_line;
 use crate::wire::{ClientMessage, PoseRequest, ScreenshotRequest, ServerMessage};
 
@@ -45,11 +46,17 @@ impl Default for ScreenshotClient {
 }
 
 impl ScreenshotClient {
-    /// Requests a picture with the viewer's look. A view that cannot be rendered fails at once.
-    pub fn request(&mut self, pose: Pose, intrinsics: Intrinsics, background: [u8; 3]) -> ScreenshotId {
+    /// Requests a picture with this look, or with the viewer's own. A view that cannot be rendered fails at once.
+    pub fn request(
+        &mut self,
+        pose: Pose,
+        intrinsics: Intrinsics,
+        background: [u8; 3],
+        look: Option<Look>,
+    ) -> ScreenshotId {
         self.newest = self.newest.next();
         let view = PoseRequest::of_view(pose, intrinsics).encode().to_vec();
-        let request = ScreenshotRequest { id: self.newest, view, background };
+        let request = ScreenshotRequest { id: self.newest, view, background, look: look.map(Box::new) };
         let problem = request.view().err();
         self.wanted = Some(request.clone());
         self.outbox.offer(Some(problem.is_none().then_some(request)));
@@ -206,8 +213,8 @@ mod tests {
                 let now = pair.now();
                 pair.client.look.set(now, look(name)).unwrap();
             }
-            pair.client.screenshot.request(pose(), VIEW, [0; 3]);
-            let id = pair.client.screenshot.request(pose(), VIEW, [0; 3]);
+            pair.client.screenshot.request(pose(), VIEW, [0; 3], None);
+            let id = pair.client.screenshot.request(pose(), VIEW, [0; 3], None);
             pair.run(2_000_000);
             assert_eq!(pair.shots, [(id, "b".to_owned())]);
             pair.client.screenshot.handle_png(ScreenshotId(1), png());
@@ -223,10 +230,10 @@ mod tests {
     #[test]
     fn a_wrong_size_and_a_view_that_is_too_large_fail() {
         let mut client = ScreenshotClient::default();
-        let id = client.request(pose(), Intrinsics { width: 641, ..VIEW }, [0; 3]);
+        let id = client.request(pose(), Intrinsics { width: 641, ..VIEW }, [0; 3], None);
         client.handle_png(id, png());
         assert!(client.take_outcome().unwrap().png.is_err());
-        client.request(pose(), Intrinsics { width: 1 << 13, height: 1 << 13, ..VIEW }, [0; 3]);
+        client.request(pose(), Intrinsics { width: 1 << 13, height: 1 << 13, ..VIEW }, [0; 3], None);
         assert!(client.take_outcome().unwrap().png.is_err());
         assert!(client.poll_message(0).is_none(), "nothing was asked for");
     }
@@ -234,7 +241,7 @@ mod tests {
     #[test]
     fn what_is_wanted_is_asked_for_again_and_what_is_cancelled_is_not() {
         let mut client = ScreenshotClient::default();
-        let id = client.request(pose(), VIEW, [0; 3]);
+        let id = client.request(pose(), VIEW, [0; 3], None);
         assert!(matches!(client.poll_message(0), Some(ClientMessage::TakeScreenshot(s)) if s.id == id));
         client.handle_welcome();
         assert!(matches!(client.poll_message(100_000), Some(ClientMessage::TakeScreenshot(s)) if s.id == id));
@@ -244,7 +251,7 @@ mod tests {
         client.handle_welcome();
         assert!(client.poll_message(300_000).is_none());
         // Cancelled before the server heard of it.
-        client.request(pose(), VIEW, [0; 3]);
+        client.request(pose(), VIEW, [0; 3], None);
         client.cancel();
         assert!(client.poll_message(400_000).is_none());
     }

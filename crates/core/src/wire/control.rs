@@ -254,7 +254,10 @@ impl Message for ClientMessage {
             Self::Select(part) => part.validate(),
             Self::Stats(_) | Self::Bye | Self::CancelSelection | Self::CancelScreenshot => Ok(()),
             Self::Probe(probe) => probe.validate(),
-            Self::TakeScreenshot(shot) => shot.view().map(drop),
+            Self::TakeScreenshot(shot) => {
+                shot.view()?;
+                Ok(shot.look.as_deref().map_or(Ok(()), Look::validate)?)
+            }
         }
     }
 }

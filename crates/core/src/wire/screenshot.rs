@@ -11,8 +11,9 @@ use serde::{Deserialize, Serialize};
 use super::control::ControlError;
 use super::pose::PoseRequest;
 use crate::ids::ScreenshotId;
+use crate::look::Look;
 
-/// Requests a picture with the look that was requested last. A later request replaces one that is not answered.
+/// Requests a picture, with its own look or the one that was requested last. A later request replaces one that is not answered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScreenshotRequest {
     /// Number of the request.
@@ -21,6 +22,8 @@ pub struct ScreenshotRequest {
     pub view: Vec<u8>,
     /// Background behind the volume, sRGB.
     pub background: [u8; 3],
+    /// The look, if it is not the viewer's own.
+    pub look: Option<Box<Look>>,
 }
 
 impl ScreenshotRequest {
@@ -71,7 +74,12 @@ mod tests {
         let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.1, 3.0);
         let intrinsics = Intrinsics::perspective(width, height, 0.5);
         let view = PoseRequest::of_view(pose, intrinsics);
-        ScreenshotRequest { id: ScreenshotId(7), view: view.encode().to_vec(), background: [1, 2, 3] }
+        ScreenshotRequest {
+            id: ScreenshotId(7),
+            view: view.encode().to_vec(),
+            background: [1, 2, 3],
+            look: None,
+        }
     }
 
     #[test]

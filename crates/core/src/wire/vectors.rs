@@ -124,6 +124,7 @@ fn client_messages() -> Vec<ClientMessage> {
             id: ScreenshotId(8),
             view: view().encode().to_vec(),
             background: [1, 2, 3],
+            look: Some(Box::new(look())),
         }),
         ClientMessage::CancelScreenshot,
     ]);

@@ -290,8 +290,6 @@ pub struct SavedView {
     pub eye_angle_degrees: Option<f32>,
     /// Size of the server's frames, relative to the picture.
     pub frame_scale: Option<f32>,
-    /// The method that turns frames into pictures.
-    pub method: Option<String>,
 }
 
 impl SavedView {

@@ -59,7 +59,6 @@ fn state(seed: u32) -> SavedState {
             stereo: Some(StereoPicture::RedCyan),
             orthographic: Some(seed % 2 == 1),
             eye_angle_degrees: Some(odd(seed)),
-            method: Some("layers".into()),
             ..SavedView::default()
         },
         look: Some(Look { shaded: seed.is_multiple_of(2), k: 9, clip: clip(seed), ..Look::new(transfer) }),

@@ -200,6 +200,8 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
             is_orthographic: args.orthographic,
             foresight: args.foresight.foresight(),
             refresh_hz: args.window.refresh,
+            shows_bars: args.window.shows_bars(),
+            shows_panel: size[0] >= WIDTH_WITH_PANEL,
             ..WindowOptions::default()
         },
     });
@@ -224,3 +226,5 @@ pub(crate) fn parse_speed(text: &str) -> Result<f32, String> {
 }
 
 const DEFAULT_OUT: &str = "isinglass-demo";
+/// Windows at least this wide begin with the panel of the look, points.
+pub(super) const WIDTH_WITH_PANEL: u32 = 1000;

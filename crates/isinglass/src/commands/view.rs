@@ -13,7 +13,7 @@ use isinglass_core::orbit::Orbit;
 use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer, write_whole};
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
 
-use super::demo::initial_orbit;
+use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
 use crate::args::{
     BackendArgs, ForesightArgs, ListArgs, LookArgs, PartArgs, RawArgs, VolumeArgs, parse_fov, parse_output,
     parse_size,
@@ -126,6 +126,8 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         is_orthographic: args.orthographic,
         foresight: args.foresight.foresight(),
         refresh_hz: args.window.refresh,
+        shows_bars: args.window.shows_bars(),
+        shows_panel: size[0] >= WIDTH_WITH_PANEL,
         recorder: recorder.clone(),
         ..WindowOptions::default()
     };

@@ -63,6 +63,7 @@ pub(super) const SETTINGS: &[Known] = &[
     viewer("window", "size", "size"),
     viewer("window", "fov", "fov"),
     viewer("window", "orbit", "orbit"),
+    viewer("window", "bars", "bars"),
     viewer("window", "overlay", "overlay"),
     viewer("window", "axes", "axes"),
     viewer("window", "box", "volume_box"),

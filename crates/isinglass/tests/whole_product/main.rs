@@ -63,7 +63,7 @@ fn the_picture_follows_the_hand_over_a_bad_link() {
     let link = Link { port: relay.port(), ..link };
     // With `--refresh 1` a slow machine casts as fine a picture as a fast one.
     let [width, height] = SIZE;
-    let line = format!("view {link} --size {width}x{height} --overlay off --axes off --refresh 1");
+    let line = format!("view {link} --size {width}x{height} --bars off --axes off --refresh 1");
     let mut viewer = Viewer::start(&bench, &line);
     let screen = Screen::open();
     let window = viewer.wait("window", |_| screen.window(SIZE));

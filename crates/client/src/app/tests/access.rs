@@ -4,7 +4,6 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
 
 use super::*;
-use crate::app::side_panel;
 use crate::app::tests::window_walk::{
     assert_all_named, assert_tab_reaches_all, cut_off, focusable, outside, overlapping,
 };
@@ -40,7 +39,7 @@ fn everything(size: [f32; 2], pixels_per_point: f32) -> Harness<'static, ViewerA
     give_parts(&mut w);
     press(&mut w, Modifiers::NONE, Key::C);
     open_panel(&mut w);
-    for section in ["Light", "Frames", "Clip", "View", "State"] {
+    for section in ["Light", "Clip", "View", "Advanced", "State"] {
         w.get_by_label(section).scroll_to_me();
         w.run_steps(4);
         w.get_by_label(section).click();
@@ -89,13 +88,13 @@ fn nothing_lies_outside_a_small_screen_or_a_fine_one() {
         w.state_mut().notice = Some(("a line of the server's".into(), Duration::from_secs(1000)));
         rest(&mut w);
         assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}");
-        let panes = ["overlay", "look", "parts", "banner"];
+        let panes = ["overlay", "parts", "banner"];
         assert_eq!(overlapping(&w, &panes), Vec::<String>::new(), "{size:?}");
         assert_eq!(cut_off(&w), Vec::<String>::new(), "{size:?}");
-        // One pixel of the picture is one of the screen; the harness leaves eight points around it.
+        // One pixel of the picture is one of the screen.
         let picture = w.state().window.unwrap();
-        let pixels = size.map(|side| (side - 16.0) * pixels_per_point);
-        assert_eq!([picture.width as f32, picture.height as f32], pixels);
+        let pixels = (w.state().room.size() * pixels_per_point).round();
+        assert_eq!([picture.width as f32, picture.height as f32], [pixels.x, pixels.y]);
         // A click beside the middle of a point of the curve chooses it, whatever the number of pixels.
         let point = w.get_by_label_contains("point 2 of ").rect();
         assert!(point.width() >= 8.0 && point.height() >= 8.0, "{point:?}");
@@ -130,15 +129,12 @@ fn panes_keep_clear_of_each_other_and_of_axes_and_scale() {
         let case = format!("{size:?}, {has_panel}, {has_parts}");
         let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
         assert_eq!(outside(&w, screen), Vec::<String>::new(), "{case}");
-        let panes = ["overlay", "look", "look, folded", "older look", "parts", "banner"];
+        let panes = ["overlay", "older look", "parts", "banner"];
         assert_eq!(overlapping(&w, &panes), Vec::<String>::new(), "{case}");
         let pane = |name| w.ctx.memory(|m| m.area_rect(egui::Id::unique(name)));
-        let open = {
-            let right = screen.right() - w.state().right_width().max(side_panel::FOLDED_WIDTH);
-            egui::Rect::from_x_y_ranges(right - 54.0..=right, 10.0..=48.0)
-        };
-        for name in ["overlay", "older look"] {
-            assert!(!pane(name).unwrap().intersects(open), "{name}, {case}");
+        let room = w.state().room;
+        for name in ["overlay", "older look", "banner", "parts"] {
+            assert!(pane(name).is_none_or(|pane| room.contains_rect(pane)), "{name}, {case}");
         }
         // The harness leaves eight points around the picture.
         let corner = w.get_by_label_contains("axes: ").rect();

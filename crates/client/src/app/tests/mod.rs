@@ -21,10 +21,12 @@ use isinglass_core::wire::{ClientMessage, ScreenshotRequest, Token, VolumeDescri
 use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
 
 use super::*;
+use crate::input::bindings::Bindings;
 use crate::input::camera_controls::InitialOrbit;
 use crate::paint::novel_view::LAYERS;
 use crate::view::viewing::FrameSize;
 
+mod bars;
 mod keeping;
 pub(crate) mod window_walk;
 
@@ -134,7 +136,11 @@ impl Here {
         let view = shot.view().unwrap();
         let camera = Camera::new(view.pose, view.intrinsics, &self.scene.volume.bounds());
         let linear = ViewAids { background: shot.background, ..ViewAids::default() }.linear_background();
-        let rgb = render(&self.scene, &camera).to_srgb8(linear);
+        let scene = match shot.look.as_deref() {
+            Some(look) => Scene::new(self.scene.volume.clone(), &look.transfer, look.march_settings()),
+            None => self.scene.clone(),
+        };
+        let rgb = render(&scene, &camera).to_srgb8(linear);
         isinglass_formats::png::encode(view.intrinsics.width, view.intrinsics.height, &rgb).unwrap()
     }
 
@@ -386,9 +392,10 @@ fn keys_switch_what_they_say() {
     let mut w = window([900.0, 700.0]);
     let shown =
         |w: &Harness<'_, ViewerApp<HereSource>>, label: &str| w.query_by_label_contains(label).is_some();
-    assert!(shown(&w, "server frame"));
-    press(&mut w, Modifiers::NONE, Key::O);
-    assert!(!shown(&w, "server frame"));
+    for is_shown in [false, true, false] {
+        assert_eq!(shown(&w, "server frame"), is_shown);
+        press(&mut w, Modifiers::NONE, Key::O);
+    }
     press(&mut w, Modifiers::NONE, Key::H);
     for (keys, text) in Bindings::default().lines() {
         assert!(w.query_all_by_label(text).next().is_some(), "{keys} is in the help");
@@ -437,6 +444,7 @@ fn the_key_m_goes_through_the_modes_and_surfaces_have_their_values_in_the_panel(
     w.get_by_label("remove surface 1").click();
     rest(&mut w);
     assert_eq!(isos(&w).as_slice().len(), 1);
+    press(&mut w, Modifiers::NONE, Key::L);
     press(&mut w, Modifiers::NONE, Key::M);
     assert_eq!(picture(&w), first);
 }
@@ -459,9 +467,7 @@ fn a_double_click_makes_what_is_seen_the_centre_of_rotation() {
     drag(&mut w, egui::pos2(100.0, 400.0), vec2(50.0, -30.0), Modifiers::NONE);
     let app = w.state();
     let (bounds, controls) = app.controls.as_ref().unwrap();
-    // The harness leaves a margin of eight points around the window.
-    let picture = Intrinsics::perspective(624, 464, app.options.fov_y);
-    let at = at - vec2(8.0, 8.0);
+    let (picture, at) = (app.window.unwrap(), at - app.room.min.to_vec2());
     let basis = controls.camera(picture, bounds).basis();
     let h = basis.pixel_from_point(center);
     // A step of the search along the ray, seen from the side, is less than half a pixel.
@@ -492,7 +498,7 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
         let mut w = window(size);
         w.ctx.set_theme(theme);
         open_panel(&mut w);
-        for section in ["Light", "Frames", "Clip", "View"] {
+        for section in ["Light", "Clip", "View", "Advanced"] {
             w.get_by_label(section).scroll_to_me();
             w.run_steps(4);
             w.get_by_label(section).click();

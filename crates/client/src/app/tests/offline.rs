@@ -16,6 +16,7 @@ fn states() -> [State; 2] {
 #[test]
 fn what_rests_is_offline_and_nothing_is_received() {
     let mut w = window([900.0, 700.0]);
+    press(&mut w, Modifiers::NONE, Key::O);
     w.state().viewing.source().here().stats.bytes_per_second = 43_000.0;
     rest(&mut w);
     assert!(w.query_by_label("43 kB/s").is_some() && w.query_by_label("offline").is_none());

@@ -62,6 +62,8 @@ pub enum Action {
     Help,
     /// Close the help.
     CloseHelp,
+    /// Show the picture alone on the whole screen, or return to the window.
+    FullScreen,
     /// Close the window.
     Quit,
 }
@@ -402,6 +404,7 @@ const TABLE: &[Line] = &[
     keys("perspective or orthographic", &[("projection", Deed::Act(Action::Projection), &["5"])]),
     keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
     keys("look panel open or folded", &[("look", Deed::Act(Action::LookPanel), &["l"])]),
+    keys("full screen", &[("full-screen", Deed::Act(Action::FullScreen), &["F11"])]),
     keys("numbers on or off", &[("numbers", Deed::Act(Action::Numbers), &["o"])]),
     keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
     keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),

@@ -235,9 +235,12 @@ impl TransferEditor {
         let mut taken = None;
         let mut colored = None;
         ui.horizontal(|ui| {
-            let name = match self.curve.transfer.name.as_str() {
-                "" => "unnamed",
-                name => name,
+            let transfer = &self.curve.transfer;
+            let is_edited = |preset: TransferFunction| preset.points != transfer.points;
+            let name = match transfer.name.as_str() {
+                "" => "unnamed".to_owned(),
+                name if isinglass_formats::preset(name).is_some_and(is_edited) => format!("{name} (edited)"),
+                name => name.to_owned(),
             };
             let presets = egui::ComboBox::from_id_salt("preset").width(half).height(LIST_HEIGHT).truncate();
             let presets = presets.selected_text(name).show_ui(ui, |ui| {
@@ -328,7 +331,7 @@ impl TransferEditor {
         let reach = scale.span() * 0.5;
         let mut shift = level - start;
         ui.horizontal(|ui| {
-            ui.label("shift");
+            ui.label("position");
             ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
             let slider = ui.add(controls::slider(ui, &mut shift, -reach..=reach, |v| format_in(v, window)));
             named_number(&slider, egui::Role::Slider, "shift of the whole curve", shift);

@@ -277,6 +277,8 @@ fn a_pasted_link_connects_and_the_list_keeps_no_secret() {
     assert!(is_shown(&stage.window));
     stage.window.get_by_label("Open").click();
     stage.window.run_steps(3);
+    stage.window.get_by_label("Volume or server…").click();
+    stage.window.run_steps(3);
     stage.paste(&other.to_string());
     stage.window.get_by_label("Connect").click();
     stage.window.run_steps(2);

@@ -1,0 +1,110 @@
+//! The bars and the docked panel around the picture, and the room that they leave.
+
+use std::time::Duration;
+
+use egui::{Margin, Panel, Rect, RichText, Ui};
+use isinglass_net::State;
+
+use super::ViewerApp;
+use crate::paint::view_aids;
+use crate::panels::status;
+use crate::panels::style::{self, bar, quiet};
+use crate::panels::text::format_duration;
+use crate::panels::toolbar::{TOOLBAR_HEIGHT, Toolbar, ToolbarWish};
+use crate::view::frame_source::FrameSource;
+
+impl<S: FrameSource> ViewerApp<S> {
+    /// Shows everything around the picture. What is left of `ui` is for the picture.
+    pub(super) fn show_bars(&mut self, ui: &mut Ui, now: Duration) {
+        let ctx = ui.ctx().clone();
+        if self.shows_bars {
+            let toolbar = Panel::top("toolbar").frame(bar(&ctx)).exact_size(TOOLBAR_HEIGHT);
+            let wish = toolbar.show(ui, |ui| self.toolbar().show(ui)).inner;
+            self.choose(wish);
+            let line = Panel::bottom("status line").frame(bar(&ctx)).exact_size(STATUS_HEIGHT);
+            line.show(ui, |ui| self.status_line(ui));
+            self.show_look_panel(ui, now);
+        }
+        self.room = ui.available_rect_before_wrap();
+    }
+
+    /// What the toolbar and the menu of the picture show.
+    pub(super) fn toolbar(&self) -> Toolbar<'_> {
+        Toolbar {
+            bindings: &self.options.bindings,
+            mode: self.viewing.look().map(|look| look.mode),
+            is_orthographic: self.is_orthographic,
+            has_clip_handles: self.clip_editor.is_shown,
+            has_probe: self.probe.is_on(),
+            shows_axes: self.aids.shows_axes,
+            shows_box: self.aids.shows_box,
+            is_look_open: self.is_look_open,
+            opens_volumes: self.opens_volumes,
+        }
+    }
+
+    pub(super) fn choose(&mut self, wish: Option<ToolbarWish>) {
+        match wish {
+            Some(ToolbarWish::Act(action)) => self.chosen_actions.push(action),
+            Some(ToolbarWish::Show(mode)) => self.chosen_mode = Some(mode),
+            None => {}
+        }
+    }
+
+    /// One line: how to get help, and the server with its round trip.
+    fn status_line(&self, ui: &mut Ui) {
+        let small = |text: String| RichText::new(text).size(12.0).color(quiet(ui.ctx()));
+        let (source, name) = (self.viewing.source(), &self.options.server_name);
+        let state = source.state();
+        let server = match (&state, source.stats().rtt_micros) {
+            (State::Connected, micros) if micros > 0 => {
+                format!("{name}  {}", format_duration(Duration::from_micros(micros)))
+            }
+            _ => name.clone(),
+        };
+        let (server, size) = (small(server), small(self.title.clone()));
+        ui.horizontal_centered(|ui| {
+            ui.add(egui::Label::new(size).truncate());
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                status::connection_dot(ui, &state);
+                ui.add(egui::Label::new(server).truncate());
+            });
+        });
+    }
+
+    /// The room for panes at the top: beside the badge, or below it if there is too little.
+    pub(super) fn room_at_top(&self) -> Rect {
+        let room = self.room;
+        let taken = if self.shows_bars { status::size_taken(self.shows_numbers) } else { egui::Vec2::ZERO };
+        match room.width() - taken.x >= LEAST_ROOM_AT_TOP {
+            true => room.with_min_x(room.left() + taken.x),
+            false => room.with_min_y(room.top() + taken.y),
+        }
+    }
+
+    /// The room for panes at the bottom: above the bar of parts, and beside axes and scale bar, or above these if
+    /// there is too little.
+    pub(crate) fn room_at_bottom(&self) -> Rect {
+        let corner = if self.aids.shows_axes { view_aids::CORNER } else { egui::Vec2::ZERO };
+        let room = self.room.with_max_y(self.room.bottom() - self.parts_bar.height());
+        match room.width() - corner.x >= LEAST_ROOM {
+            true => room.with_min_x(room.left() + corner.x),
+            false => {
+                let lift = self.parts_bar.height_over(corner.x) + corner.y;
+                room.with_max_y((self.room.bottom() - lift).min(room.bottom()))
+            }
+        }
+    }
+
+    /// The frame of the docked panel.
+    pub(super) fn panel_frame(ctx: &egui::Context) -> egui::Frame {
+        egui::Frame::new().fill(style::surface(ctx)).inner_margin(Margin::symmetric(12, 8))
+    }
+}
+
+/// Height of the status line, points.
+const STATUS_HEIGHT: f32 = 26.0;
+/// Least width of a pane at the top, points.
+const LEAST_ROOM_AT_TOP: f32 = 260.0;
+/// Least width of a pane at the bottom, points.
+const LEAST_ROOM: f32 = 280.0;

@@ -1,0 +1,61 @@
+//! Do the bars do what keys do, and do pictures of presets and modes show them?
+
+use super::*;
+use crate::panels::gallery::Entry;
+
+#[test]
+fn a_button_does_what_its_key_does() {
+    let mut w = window([1280.0, 720.0]);
+    for (name, key) in [("box", Key::B), ("axes and scale", Key::A), ("look", Key::L)] {
+        let state = |w: &Harness<'_, ViewerApp<HereSource>>| {
+            let app = w.state();
+            [app.aids.shows_box, app.aids.shows_axes, app.is_look_open]
+        };
+        let before = state(&w);
+        w.get_by_role_and_label(egui::Role::CheckBox, name).click();
+        rest(&mut w);
+        assert_ne!(state(&w), before, "{name}");
+        press(&mut w, Modifiers::NONE, key);
+        assert_eq!(state(&w), before, "{name}");
+    }
+    w.get_by_label("Mode").click();
+    rest(&mut w);
+    w.get_by_label("MIP: greatest value").click();
+    rest(&mut w);
+    assert_eq!(w.state().viewing.look().unwrap().mode, Mode::Mip);
+}
+
+#[test]
+fn a_key_leaves_the_picture_alone_and_brings_the_bars_back() {
+    let mut w = window([1280.0, 720.0]);
+    let room = w.state().room;
+    press(&mut w, Modifiers::NONE, Key::F11);
+    assert!(w.query_by_label("Open").is_none() && w.state().room.area() > room.area());
+    press(&mut w, Modifiers::NONE, Key::F11);
+    assert!(w.query_by_label("Open").is_some() && w.state().room == room);
+}
+
+#[test]
+fn presets_and_modes_are_shown_by_pictures_of_this_volume() {
+    let mut w = window([1280.0, 720.0]);
+    assert_eq!(w.state().viewing.source().here().num_shots, 0, "nobody looks at them");
+    open_panel(&mut w);
+    rest(&mut w);
+    let wanted = [Entry::Preset("shells"), Entry::Preset("smooth")].into_iter();
+    let wanted = wanted.chain(Mode::ALL.into_iter().map(Entry::Mode));
+    let missing: Vec<_> = wanted.filter(|entry| !w.state().gallery.has(*entry)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+    assert!(!w.state().gallery.has(Entry::Preset("ct-bone")), "not in Hounsfield units");
+    let num = w.state().viewing.source().here().num_shots;
+    rest(&mut w);
+    assert_eq!(w.state().viewing.source().here().num_shots, num, "each once");
+    w.get_by_role_and_label(egui::Role::RadioButton, "mode isosurface").click();
+    rest(&mut w);
+    let look = w.state().viewing.look().unwrap();
+    assert!(look.mode == Mode::Iso && look.isos.as_slice().len() == 1);
+    w.get_by_role_and_label(egui::Role::RadioButton, "preset smooth").click();
+    rest(&mut w);
+    assert_eq!(w.state().viewing.look().unwrap().transfer.name, "smooth");
+    press(&mut w, Modifiers::COMMAND, Key::Z);
+    assert_eq!(w.state().viewing.look().unwrap().transfer.name, "shells", "undone");
+}

@@ -1,0 +1,220 @@
+//! Presets and modes by picture: the server renders the volume with each, in small.
+//!
+//! One picture is requested at a time, while the panel is open and no other picture is in progress.
+
+use egui::{ColorImage, Context, Sense, TextureHandle, TextureOptions, Ui, vec2};
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::ids::ScreenshotId;
+use isinglass_core::look::Look;
+use isinglass_core::mode::{Isos, Mode};
+use isinglass_core::volume::Lighting;
+use isinglass_core::wire::VolumeDescription;
+use isinglass_formats::png;
+
+use super::style::{bright, quiet};
+use super::text::mode_name;
+use super::value_scale::ValueScale;
+use crate::view::frame_source::FrameSource;
+
+/// What a picture stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Entry {
+    Preset(&'static str),
+    Mode(Mode),
+}
+
+/// What the pictures show beside their entry.
+#[derive(Clone, PartialEq)]
+struct Subject {
+    name: String,
+    dims: [u32; 3],
+    value_range: (f32, f32),
+    /// Modes are shown with this transfer function.
+    transfer_name: String,
+}
+
+#[derive(Default)]
+pub(crate) struct Gallery {
+    subject: Option<Subject>,
+    /// A picture, or none where the server made none.
+    pictures: Vec<(Entry, Option<TextureHandle>)>,
+    requested: Option<(ScreenshotId, Entry)>,
+}
+
+impl Gallery {
+    /// Requests the next picture that is missing, and takes the one that has come. `pose` and `fov_y` (radians) are
+    /// the camera's. Never waits.
+    pub(crate) fn poll(
+        &mut self,
+        ctx: &Context,
+        source: &impl FrameSource,
+        (look, scale): (&Look, &ValueScale),
+        (pose, fov_y): (Pose, f32),
+        volume: &VolumeDescription,
+    ) {
+        let transfer_name = look.transfer.name.clone();
+        let (name, dims, value_range) = (volume.name.clone(), volume.dims, volume.value_range);
+        let subject = Subject { name, dims, value_range, transfer_name };
+        if self.subject.as_ref() != Some(&subject) {
+            self.forget(&subject);
+            self.subject = Some(subject);
+        }
+        let mut talk = source.talk();
+        if let Some((id, entry)) = self.requested {
+            let Some(shot) = talk.quietly().screenshot.take_outcome().filter(|shot| shot.id == id) else {
+                return;
+            };
+            self.requested = None;
+            let picture = shot.png.as_ref().ok().and_then(|bytes| png::decode(bytes, MOST_PIXELS).ok());
+            let texture = picture.map(|rgb| {
+                let size = [rgb.width as usize, rgb.height as usize];
+                let image = ColorImage::from_rgb(size, &rgb.bytes);
+                ctx.load_texture(entry.name(), image, TextureOptions::LINEAR)
+            });
+            self.pictures.push((entry, texture));
+            ctx.request_repaint();
+        }
+        let missing = entries(volume).into_iter().find(|entry| self.picture(*entry).is_none());
+        if let Some(entry) = missing {
+            // Nearer than the window, because so little is seen in a small picture.
+            let square = Intrinsics::perspective(SIDE_PIXELS, SIDE_PIXELS, 0.7 * fov_y);
+            let id = talk.screenshot.request(pose, square, [0; 3], Some(entry.look(look, scale)));
+            self.requested = Some((id, entry));
+        }
+    }
+
+    fn picture(&self, entry: Entry) -> Option<&Option<TextureHandle>> {
+        self.pictures.iter().find(|(of, _)| *of == entry).map(|(_, picture)| picture)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn has(&self, entry: Entry) -> bool {
+        matches!(self.picture(entry), Some(Some(_)))
+    }
+
+    /// Another request has taken the place of this panel's.
+    pub(crate) fn pause(&mut self) {
+        self.requested = None;
+    }
+
+    /// Drops what shows another subject.
+    fn forget(&mut self, subject: &Subject) {
+        let is_same_volume = self.subject.as_ref().is_some_and(|before| {
+            let transfer_name = before.transfer_name.clone();
+            *before == Subject { transfer_name, ..subject.clone() }
+        });
+        self.pictures.retain(|(entry, _)| is_same_volume && matches!(entry, Entry::Preset(_)));
+        self.requested = None;
+    }
+
+    /// Shows the pictures with their names. Returns the one that the person chose.
+    pub(crate) fn show(&self, ui: &mut Ui, look: &Look, volume: &VolumeDescription) -> Option<Entry> {
+        let mut chosen = None;
+        let (presets, modes): (Vec<_>, Vec<_>) =
+            entries(volume).into_iter().partition(|entry| matches!(entry, Entry::Preset(_)));
+        for (row, per_row) in [(presets, 4.0), (modes, 5.0)] {
+            ui.horizontal_wrapped(|ui| {
+                ui.spacing_mut().item_spacing = vec2(GAP, 6.0);
+                for entry in row {
+                    if self.cell(ui, entry, per_row, entry.is_in(look)) {
+                        chosen = Some(entry);
+                    }
+                }
+            });
+        }
+        chosen
+    }
+
+    /// A picture with its name. Returns whether it was clicked.
+    fn cell(&self, ui: &mut Ui, entry: Entry, per_row: f32, is_chosen: bool) -> bool {
+        let side = ((ui.max_rect().width() + GAP) / per_row - GAP).clamp(48.0, 96.0).floor();
+        let (rect, response) = ui.allocate_exact_size(vec2(side, side + 16.0), Sense::click());
+        let name = entry.name();
+        response.widget_info(|| egui::WidgetInfo::selected(egui::Role::RadioButton, true, is_chosen, &name));
+        if !ui.is_rect_visible(rect) {
+            return response.clicked();
+        }
+        let square = egui::Rect::from_min_size(rect.min, vec2(side, side));
+        let visuals = ui.visuals();
+        let painter = ui.painter();
+        match self.picture(entry) {
+            Some(Some(picture)) => {
+                let whole = egui::Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
+                painter.image(picture.id(), square, whole, egui::Color32::WHITE);
+            }
+            _ => {
+                painter.rect_filled(square, 3.0, visuals.extreme_bg_color);
+            }
+        }
+        let (width, color) = match (is_chosen, response.hovered() || response.has_focus()) {
+            (true, _) => (2.0, visuals.selection.stroke.color),
+            (false, true) => (1.0, visuals.widgets.hovered.fg_stroke.color),
+            (false, false) => (1.0, visuals.widgets.noninteractive.bg_stroke.color),
+        };
+        painter.rect_stroke(square, 3.0, egui::Stroke::new(width, color), egui::StrokeKind::Inside);
+        let color = if is_chosen { bright(ui.ctx()) } else { quiet(ui.ctx()) };
+        let font = egui::FontId::proportional(11.0);
+        let below = rect.with_min_y(square.bottom() + 1.0);
+        let painter = painter.with_clip_rect(below.intersect(ui.clip_rect()));
+        painter.text(below.left_top(), egui::Align2::LEFT_TOP, entry.short_name(), font, color);
+        response.on_hover_text(name).clicked()
+    }
+}
+
+impl Entry {
+    /// The look that the picture shows: lit as in a new window, which the server makes fastest.
+    fn look(self, look: &Look, scale: &ValueScale) -> Look {
+        let mut shown = Look { lighting: Lighting::default(), ..look.clone() };
+        self.set(&mut shown, scale);
+        shown
+    }
+
+    /// Changes a look to the entry's preset or mode.
+    pub(crate) fn set(self, look: &mut Look, scale: &ValueScale) {
+        match self {
+            Self::Preset(name) => {
+                look.mode = Mode::Composite;
+                look.transfer = isinglass_formats::preset(name).unwrap_or_else(|| look.transfer.clone());
+            }
+            Self::Mode(mode) => {
+                look.mode = mode;
+                if mode == Mode::Iso && look.isos.as_slice().is_empty() {
+                    look.isos = Isos::one(scale.parting_value());
+                }
+            }
+        }
+    }
+
+    fn is_in(self, look: &Look) -> bool {
+        match self {
+            Self::Preset(name) => look.transfer.name == name,
+            Self::Mode(mode) => look.mode == mode,
+        }
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::Preset(name) => format!("preset {name}"),
+            Self::Mode(mode) => format!("mode {}", mode_name(mode)),
+        }
+    }
+
+    fn short_name(self) -> &'static str {
+        match self {
+            Self::Preset(name) => name,
+            Self::Mode(mode) => mode.name(),
+        }
+    }
+}
+
+/// The presets that suit the volume, then the modes.
+fn entries(volume: &VolumeDescription) -> Vec<Entry> {
+    let presets = isinglass_formats::fitting_presets(&volume.name, volume.value_range).map(Entry::Preset);
+    presets.chain(Mode::ALL.into_iter().map(Entry::Mode)).collect()
+}
+
+/// Between pictures, points.
+const GAP: f32 = 8.0;
+/// Size of a picture, pixels.
+const SIDE_PIXELS: u32 = 128;
+const MOST_PIXELS: u64 = (SIDE_PIXELS * SIDE_PIXELS) as u64;

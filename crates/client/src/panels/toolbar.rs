@@ -1,0 +1,199 @@
+//! The bar at the top: a button or menu for what is done most. Each stands for an action that a key does too.
+
+use egui::{Role, Ui};
+use isinglass_core::mode::Mode;
+use lucide_icons::Icon;
+
+use super::style::{ICON_SIZE, icon, named};
+use super::text::mode_name;
+use crate::input::bindings::{Action, Bindings, Side};
+
+/// What the bar shows.
+pub(crate) struct Toolbar<'a> {
+    pub(crate) bindings: &'a Bindings,
+    /// None before the volume is known.
+    pub(crate) mode: Option<Mode>,
+    pub(crate) is_orthographic: bool,
+    pub(crate) has_clip_handles: bool,
+    pub(crate) has_probe: bool,
+    pub(crate) shows_axes: bool,
+    pub(crate) shows_box: bool,
+    pub(crate) is_look_open: bool,
+    /// Whether this window can open other volumes and servers.
+    pub(crate) opens_volumes: bool,
+}
+
+/// What the person chose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum ToolbarWish {
+    Act(Action),
+    Show(Mode),
+}
+
+impl Toolbar<'_> {
+    /// Shows the bar in a line. Menus have no words in a narrow window, and switches are left out in a narrower one.
+    pub(crate) fn show(&self, ui: &mut Ui) -> Option<ToolbarWish> {
+        let mut wish = None;
+        let width = ui.available_width();
+        let has_words = width >= LEAST_WIDTH_WITH_WORDS;
+        ui.horizontal_centered(|ui| {
+            ui.spacing_mut().item_spacing.x = 2.0;
+            self.files(ui, has_words, &mut wish);
+            ui.separator();
+            self.button(ui, Icon::Undo2, "undo", Action::Undo, &mut wish);
+            self.button(ui, Icon::Redo2, "redo", Action::Redo, &mut wish);
+            self.button(ui, Icon::House, "first view", Action::FirstView, &mut wish);
+            self.views(ui, has_words, &mut wish);
+            ui.separator();
+            self.modes(ui, has_words, &mut wish);
+            for (symbol, name, action, is_on) in [
+                (Icon::Crop, "clip", Action::Clip, self.has_clip_handles),
+                (Icon::Pipette, "probe values", Action::Probe, self.has_probe),
+                (Icon::Box, "box", Action::Box, self.shows_box),
+                (Icon::Axis3d, "axes and scale", Action::Axes, self.shows_axes),
+            ] {
+                // What has no room is in the menu of the picture.
+                if width >= LEAST_WIDTH_WITH_SWITCHES {
+                    self.toggle(ui, symbol, name, action, is_on, &mut wish);
+                }
+            }
+            let right = egui::Layout::right_to_left(egui::Align::Center);
+            ui.with_layout(right, |ui| {
+                ui.spacing_mut().item_spacing.x = 2.0;
+                self.button(ui, Icon::CircleQuestionMark, "keys and mouse", Action::Help, &mut wish);
+                let panel = Icon::SlidersHorizontal;
+                self.toggle(ui, panel, "look", Action::LookPanel, self.is_look_open, &mut wish);
+                self.button(ui, Icon::Fullscreen, "full screen", Action::FullScreen, &mut wish);
+            });
+        });
+        wish
+    }
+
+    /// The menu behind the right mouse button in the picture.
+    pub(crate) fn show_menu(&self, ui: &mut Ui) -> Option<ToolbarWish> {
+        let mut wish = None;
+        let projection = if self.is_orthographic { "Perspective" } else { "Parallel rays" };
+        for (name, action) in [("First view", Action::FirstView), (projection, Action::Projection)] {
+            self.item(ui, name, action, &mut wish);
+        }
+        ui.menu_button("View from", |ui| self.sides(ui, &mut wish));
+        ui.separator();
+        for (name, action) in [
+            ("Clip", Action::Clip),
+            ("Probe values", Action::Probe),
+            ("Save a picture", Action::Picture),
+            ("Copy a link to the view", Action::CopyLink),
+            ("Full screen", Action::FullScreen),
+        ] {
+            self.item(ui, name, action, &mut wish);
+        }
+        wish
+    }
+
+    fn files(&self, ui: &mut Ui, has_words: bool, wish: &mut Option<ToolbarWish>) {
+        menu(ui, Icon::FolderOpen, "Open", has_words, |ui| {
+            if self.opens_volumes {
+                self.item(ui, "Volume or server…", Action::Start, wish);
+            }
+            self.item(ui, "File…", Action::OpenFile, wish);
+        });
+        menu(ui, Icon::Save, "Save", has_words, |ui| {
+            self.item(ui, "State of the view", Action::SaveState, wish);
+            self.item(ui, "Copy a link to the view", Action::CopyLink, wish);
+        });
+        menu(ui, Icon::Camera, "Picture", has_words, |ui| {
+            self.item(ui, "Save a picture", Action::Picture, wish);
+            self.item(ui, "Other size, or a turntable…", Action::PictureDialog, wish);
+        });
+    }
+
+    fn views(&self, ui: &mut Ui, has_words: bool, wish: &mut Option<ToolbarWish>) {
+        menu(ui, Icon::Rotate3d, "Views", has_words, |ui| {
+            self.sides(ui, wish);
+            ui.separator();
+            let projection = if self.is_orthographic { "Perspective" } else { "Parallel rays" };
+            self.item(ui, projection, Action::Projection, wish);
+            self.item(ui, "Next kind of stereo", Action::Stereo, wish);
+        });
+    }
+
+    fn sides(&self, ui: &mut Ui, wish: &mut Option<ToolbarWish>) {
+        for (name, side, opposite) in [
+            ("Front", Side::Front, false),
+            ("Back", Side::Front, true),
+            ("Right", Side::Right, false),
+            ("Left", Side::Right, true),
+            ("Top", Side::Top, false),
+            ("Bottom", Side::Top, true),
+        ] {
+            self.item(ui, name, Action::StandardView(side, opposite), wish);
+        }
+    }
+
+    fn modes(&self, ui: &mut Ui, has_words: bool, wish: &mut Option<ToolbarWish>) {
+        let Some(shown) = self.mode else { return };
+        menu(ui, Icon::Layers, "Mode", has_words, |ui| {
+            for each in Mode::ALL {
+                if ui.selectable_label(each == shown, mode_name(each)).clicked() {
+                    *wish = Some(ToolbarWish::Show(each));
+                    ui.close();
+                }
+            }
+        });
+    }
+
+    /// A line of a menu, with its key at the right.
+    fn item(&self, ui: &mut Ui, name: &str, action: Action, wish: &mut Option<ToolbarWish>) {
+        let button = egui::Button::new(name).right_text(self.bindings.hint(action));
+        let response = ui.add(button);
+        named(&response, Role::Button, name);
+        if response.clicked() {
+            *wish = Some(ToolbarWish::Act(action));
+            ui.close();
+        }
+    }
+
+    fn button(&self, ui: &mut Ui, symbol: Icon, name: &str, action: Action, wish: &mut Option<ToolbarWish>) {
+        let response = ui.add(egui::Button::new(icon(symbol)).frame_when_inactive(false));
+        named(&response, Role::Button, name);
+        if response.on_hover_text(self.bindings.with_key(name, action)).clicked() {
+            *wish = Some(ToolbarWish::Act(action));
+        }
+    }
+
+    fn toggle(
+        &self,
+        ui: &mut Ui,
+        symbol: Icon,
+        name: &str,
+        action: Action,
+        is_on: bool,
+        wish: &mut Option<ToolbarWish>,
+    ) {
+        let button = egui::Button::new(icon(symbol)).selected(is_on).frame_when_inactive(is_on);
+        let response = ui.add(button);
+        response.widget_info(|| egui::WidgetInfo::selected(Role::CheckBox, true, is_on, name));
+        if response.on_hover_text(self.bindings.with_key(name, action)).clicked() {
+            *wish = Some(ToolbarWish::Act(action));
+        }
+    }
+}
+
+fn menu(ui: &mut Ui, symbol: Icon, name: &str, has_word: bool, content: impl FnOnce(&mut Ui)) {
+    let symbol = icon(symbol);
+    let shown = match has_word {
+        true => ui.menu_button((symbol, name), content),
+        false => ui.menu_button(symbol, content),
+    };
+    named(&shown.response, Role::Button, name);
+    if !has_word {
+        shown.response.on_hover_text(name);
+    }
+}
+
+/// Height of the bar, points.
+pub(crate) const TOOLBAR_HEIGHT: f32 = ICON_SIZE + 20.0;
+/// Switches are in bars at least this wide, points.
+const LEAST_WIDTH_WITH_SWITCHES: f32 = 560.0;
+/// Menus have words in bars at least this wide, points.
+const LEAST_WIDTH_WITH_WORDS: f32 = 800.0;
