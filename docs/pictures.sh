@@ -128,7 +128,7 @@ moving() {
 picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
 moving viewer demo "${bonsai[@]}" --rtt 200ms --bars off --size 640x420
 picture guide-start "" view
-picture guide-editor l demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
+picture guide-editor "" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
 picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2
 picture guide-iso "" demo tooth.nhdr --rtt 50ms --mode iso --iso 600:0.4,1000 --orbit 30,-50,2.8
 picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7
