@@ -18,14 +18,14 @@ use crate::view::frame_source::FrameSource;
 
 /// What a picture stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Entry {
+pub(crate) enum GalleryEntry {
     Preset(&'static str),
     Mode(Mode),
 }
 
 /// What the pictures show beside their entry.
 #[derive(Clone, PartialEq)]
-struct Subject {
+struct GallerySubject {
     name: String,
     dims: [u32; 3],
     value_range: (f32, f32),
@@ -35,10 +35,10 @@ struct Subject {
 
 #[derive(Default)]
 pub(crate) struct Gallery {
-    subject: Option<Subject>,
+    subject: Option<GallerySubject>,
     /// A picture, or none where the server made none.
-    pictures: Vec<(Entry, Option<TextureHandle>)>,
-    requested: Option<(ScreenshotId, Entry)>,
+    pictures: Vec<(GalleryEntry, Option<TextureHandle>)>,
+    requested: Option<(ScreenshotId, GalleryEntry)>,
 }
 
 impl Gallery {
@@ -54,7 +54,7 @@ impl Gallery {
     ) {
         let transfer_name = look.transfer.name.clone();
         let (name, dims, value_range) = (volume.name.clone(), volume.dims, volume.value_range);
-        let subject = Subject { name, dims, value_range, transfer_name };
+        let subject = GallerySubject { name, dims, value_range, transfer_name };
         if self.subject.as_ref() != Some(&subject) {
             self.forget(&subject);
             self.subject = Some(subject);
@@ -83,12 +83,12 @@ impl Gallery {
         }
     }
 
-    fn picture(&self, entry: Entry) -> Option<&Option<TextureHandle>> {
+    fn picture(&self, entry: GalleryEntry) -> Option<&Option<TextureHandle>> {
         self.pictures.iter().find(|(of, _)| *of == entry).map(|(_, picture)| picture)
     }
 
     #[cfg(test)]
-    pub(crate) fn has(&self, entry: Entry) -> bool {
+    pub(crate) fn has(&self, entry: GalleryEntry) -> bool {
         matches!(self.picture(entry), Some(Some(_)))
     }
 
@@ -98,20 +98,20 @@ impl Gallery {
     }
 
     /// Drops what shows another subject.
-    fn forget(&mut self, subject: &Subject) {
+    fn forget(&mut self, subject: &GallerySubject) {
         let is_same_volume = self.subject.as_ref().is_some_and(|before| {
             let transfer_name = before.transfer_name.clone();
-            *before == Subject { transfer_name, ..subject.clone() }
+            *before == GallerySubject { transfer_name, ..subject.clone() }
         });
-        self.pictures.retain(|(entry, _)| is_same_volume && matches!(entry, Entry::Preset(_)));
+        self.pictures.retain(|(entry, _)| is_same_volume && matches!(entry, GalleryEntry::Preset(_)));
         self.requested = None;
     }
 
     /// Shows the pictures with their names. Returns the one that the person chose.
-    pub(crate) fn show(&self, ui: &mut Ui, look: &Look, volume: &VolumeDescription) -> Option<Entry> {
+    pub(crate) fn show(&self, ui: &mut Ui, look: &Look, volume: &VolumeDescription) -> Option<GalleryEntry> {
         let mut chosen = None;
         let (presets, modes): (Vec<_>, Vec<_>) =
-            entries(volume).into_iter().partition(|entry| matches!(entry, Entry::Preset(_)));
+            entries(volume).into_iter().partition(|entry| matches!(entry, GalleryEntry::Preset(_)));
         for (row, per_row) in [(presets, 4.0), (modes, 5.0)] {
             ui.horizontal_wrapped(|ui| {
                 ui.spacing_mut().item_spacing = vec2(GAP, 6.0);
@@ -126,7 +126,7 @@ impl Gallery {
     }
 
     /// A picture with its name. Returns whether it was clicked.
-    fn cell(&self, ui: &mut Ui, entry: Entry, per_row: f32, is_chosen: bool) -> bool {
+    fn cell(&self, ui: &mut Ui, entry: GalleryEntry, per_row: f32, is_chosen: bool) -> bool {
         let side = ((ui.max_rect().width() + GAP) / per_row - GAP).clamp(48.0, 96.0).floor();
         let (rect, response) = ui.allocate_exact_size(vec2(side, side + 16.0), Sense::click());
         let name = entry.name();
@@ -161,7 +161,7 @@ impl Gallery {
     }
 }
 
-impl Entry {
+impl GalleryEntry {
     /// The look that the picture shows: lit as in a new window, which the server makes fastest.
     fn look(self, look: &Look, scale: &ValueScale) -> Look {
         let mut shown = Look { lighting: Lighting::default(), ..look.clone() };
@@ -208,9 +208,10 @@ impl Entry {
 }
 
 /// The presets that suit the volume, then the modes.
-fn entries(volume: &VolumeDescription) -> Vec<Entry> {
-    let presets = isinglass_formats::fitting_presets(&volume.name, volume.value_range).map(Entry::Preset);
-    presets.chain(Mode::ALL.into_iter().map(Entry::Mode)).collect()
+fn entries(volume: &VolumeDescription) -> Vec<GalleryEntry> {
+    let presets =
+        isinglass_formats::fitting_presets(&volume.name, volume.value_range).map(GalleryEntry::Preset);
+    presets.chain(Mode::ALL.into_iter().map(GalleryEntry::Mode)).collect()
 }
 
 /// Between pictures, points.

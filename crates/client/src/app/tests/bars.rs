@@ -1,7 +1,7 @@
 //! Do the bars do what keys do, and do pictures of presets and modes show them?
 
 use super::*;
-use crate::panels::gallery::Entry;
+use crate::panels::gallery::GalleryEntry;
 
 #[test]
 fn a_button_does_what_its_key_does() {
@@ -41,11 +41,11 @@ fn presets_and_modes_are_shown_by_pictures_of_this_volume() {
     assert_eq!(w.state().viewing.source().here().num_shots, 0, "nobody looks at them");
     open_panel(&mut w);
     rest(&mut w);
-    let wanted = [Entry::Preset("shells"), Entry::Preset("smooth")].into_iter();
-    let wanted = wanted.chain(Mode::ALL.into_iter().map(Entry::Mode));
+    let wanted = [GalleryEntry::Preset("shells"), GalleryEntry::Preset("smooth")].into_iter();
+    let wanted = wanted.chain(Mode::ALL.into_iter().map(GalleryEntry::Mode));
     let missing: Vec<_> = wanted.filter(|entry| !w.state().gallery.has(*entry)).collect();
     assert!(missing.is_empty(), "{missing:?}");
-    assert!(!w.state().gallery.has(Entry::Preset("ct-bone")), "not in Hounsfield units");
+    assert!(!w.state().gallery.has(GalleryEntry::Preset("ct-bone")), "not in Hounsfield units");
     let num = w.state().viewing.source().here().num_shots;
     rest(&mut w);
     assert_eq!(w.state().viewing.source().here().num_shots, num, "each once");
