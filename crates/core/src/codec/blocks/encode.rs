@@ -27,7 +27,7 @@ use crate::layer::{FrameHeader, LayeredFrame};
 /// Encodes a valid frame ([`LayeredFrame::validate`]), bands in parallel. The frame is predicted from the reference,
 /// if given. The receiver must have that reference. Also returns the reference that a receiver will have.
 ///
-/// Lists may get more or fewer segments. The header allows [`MAX_LAYERS`].
+/// Lists may get more or fewer segments. The header allows `MAX_LAYERS`.
 ///
 /// # Errors
 /// On frames and bands above the limits of the codec.
