@@ -252,18 +252,13 @@ fn product_files(crate_folder: &Path) -> Vec<(String, String)> {
 
 /// Modules that exist only in tests.
 const IS_TEST: [&str; 3] = ["pair", "vectors", "whole_marches"];
-/// Paths that begin like this may still define a type twice.
-const EXEMPT: [&str; 1] = ["codec/"];
 
 #[test]
 fn a_crate_defines_no_type_twice() {
     for entry in fs::read_dir(root().join("crates")).expect("crates") {
         let folder = entry.expect("a crate").path();
-        let mut files = product_files(&folder);
+        let files = product_files(&folder);
         assert!(!files.is_empty(), "{}", folder.display());
-        if folder.ends_with("core") {
-            files.retain(|(path, _)| !EXEMPT.iter().any(|exempt| path.starts_with(exempt)));
-        }
         assert_eq!(types_defined_twice(&files), BTreeMap::new(), "{}", folder.display());
         // The control: copies of the files define all of their types twice.
         let copies: Vec<_> = files.iter().map(|(path, text)| (format!("{path}2"), text.clone())).collect();

@@ -247,9 +247,9 @@ fn a_quarter_of_an_hour_of_mutations_finds_nothing() {
     fuzz(duration, u64::MAX, number("ISINGLASS_FUZZ_SEED", 3));
 }
 
-/// Most that decoding a frame with a damaged chunk allocates at once: lengths and ends of the lists, 12 bytes a segment,
-/// two rows of the widest frame with the longest lists, each segment 20 bytes, 32 more for those of one row, growing by
-/// doubling, and a megabyte for tables and the other chunks.
+/// Most bytes that decoding a frame with a damaged chunk allocates at once. Lists take 5 bytes each, and segments 12.
+/// Two rows of the widest frame hold the longest lists, with 20 bytes for each segment. One row takes 32 more for each
+/// segment, and doubles as it grows. Tables and other chunks take a megabyte.
 const MAX_BYTES: usize =
     5 * MAX_FRAME_LISTS + 12 * MAX_CHUNK_SEGMENTS + 8192 * (2 * 34 * 20 + 3 * 32 * 32) + (1 << 20);
 /// The same of a frame in blocks: cells and layers as they are in memory, growing by doubling, and then a frame.

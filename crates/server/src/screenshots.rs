@@ -5,6 +5,7 @@ use std::sync::Arc;
 use isinglass_core::camera::Camera;
 use isinglass_core::look::Look;
 use isinglass_core::picture::linear_from_srgb;
+use isinglass_core::volume::Lighting;
 use isinglass_core::wire::ScreenshotRequest;
 use isinglass_formats::png;
 use isinglass_net::server::{Control, FrameSender};
@@ -70,7 +71,9 @@ async fn make(
     let view = shot.view().map_err(|e| e.to_string())?;
     let camera = Camera::new(view.pose, view.intrinsics, &present.bounds);
     let background = shot.background.map(|c| linear_from_srgb(f32::from(c) / 255.0));
-    let look = shot.look.as_deref().unwrap_or(look);
+    // Light for a look of its own would push out the light that other viewers share.
+    let own = shot.look.as_deref().map(|look| Look { lighting: Lighting::default(), ..look.clone() });
+    let look = own.as_ref().unwrap_or(look);
     let made = generator.picture(present.scene, look, &present.lights, camera, background).await;
     let rgb = made.ok_or("the server has stopped rendering")?.map_err(|e| e.to_string())?;
     let [width, height] = [view.intrinsics.width, view.intrinsics.height];

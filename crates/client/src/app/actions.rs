@@ -43,7 +43,10 @@ impl<S: FrameSource> ViewerApp<S> {
                     ctx.send_viewport_cmd(egui::ViewportCommand::Fullscreen(!self.shows_bars));
                     ctx.request_repaint();
                 }
-                Action::LookPanel => self.is_look_open = !self.is_look_open,
+                Action::LookPanel => {
+                    self.is_look_open = !self.is_look_open;
+                    self.gallery.retry();
+                }
                 Action::Box => self.aids.shows_box = !self.aids.shows_box,
                 Action::Clip => self.toggle_clip(now),
                 Action::Projection => self.is_orthographic = !self.is_orthographic,

@@ -203,6 +203,7 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.controls, self.center_chosen_at) = (None, None);
         (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
+        self.gallery = Gallery::default();
         (self.coming, self.wish) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
         (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);

@@ -15,7 +15,7 @@ use crate::panels::parts_bar::PartsWish;
 use crate::panels::screenshots::Subject;
 use crate::panels::text::mode_name;
 use crate::panels::value_scale::ValueScale;
-use crate::panels::{light, mode, probe};
+use crate::panels::{light, probe};
 use crate::view::frame_source::FrameSource;
 use crate::view::pick::visible_point;
 use crate::view::viewing::Refresh;
@@ -117,7 +117,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let world_from_view = self.world_from_view();
         let Some(description) = self.viewing.source().description() else { return };
         let unit = description.volume.unit.clone();
-        self.poll_gallery(ctx, (&look, &scale), &description.volume);
+        self.poll_gallery(ctx, &look, &scale, &description.volume);
         let before = self.shown_settings();
         let mut settings = LookSettings {
             look: (*look).clone(),
@@ -168,16 +168,22 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     /// Has the pictures of presets and modes made while nothing moves.
-    fn poll_gallery(&mut self, ctx: &egui::Context, shown: (&Look, &ValueScale), volume: &VolumeDescription) {
-        if self.screenshots.is_busy() {
-            self.gallery.pause();
-        } else if self.is_look_open
-            && !self.was_active
+    fn poll_gallery(
+        &mut self,
+        ctx: &egui::Context,
+        look: &Look,
+        scale: &ValueScale,
+        volume: &VolumeDescription,
+    ) {
+        if !self.is_look_open {
+            return;
+        }
+        self.gallery.follow(volume, look);
+        let is_free = !self.screenshots.is_busy() && !self.was_active;
+        if let Some((_, controls)) = self.controls.as_ref().filter(|_| is_free)
             && self.viewing.source().state() == State::Connected
-            && let Some((_, controls)) = &self.controls
         {
-            let camera = (controls.pose(), self.options.fov_y);
-            self.gallery.poll(ctx, self.viewing.source(), shown, camera, volume);
+            self.gallery.poll(ctx, self.viewing.source(), scale, (controls.pose(), self.options.fov_y));
         }
     }
 
@@ -189,7 +195,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let next = (0..by_key).fold(chosen, |mode, _| mode.next());
         if next != look.mode {
             let mut wanted = (*look).clone();
-            mode::set_mode(&mut wanted, next, &scale);
+            scale.set_mode(&mut wanted, next);
             self.viewing.set_look(now, wanted);
             self.tell(now, mode_name(next));
         }

@@ -4,6 +4,7 @@ use egui::{Panel, RichText, Ui};
 use glam::Vec3;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
+use isinglass_core::mode::Mode;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::VolumeDescription;
 
@@ -16,7 +17,7 @@ use crate::panels::gallery::Gallery;
 use crate::panels::state_files::{StateFiles, StateWish};
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
-use crate::panels::{clip, light, mode};
+use crate::panels::{clip, light, surfaces};
 use crate::view::viewing::FrameSize;
 
 /// What the panel shows and changes beside the transfer function.
@@ -69,7 +70,9 @@ pub(crate) fn show(
                     entry.set(&mut settings.look, scale);
                 }
             });
-            mode::show(ui, &mut settings.look, scale);
+            if settings.look.mode == Mode::Iso {
+                section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
+            }
             section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
             section(ui, "Light", false, |ui| {
                 light::show(ui, &mut settings.look, settings.world_from_view);

@@ -6,7 +6,7 @@ use egui::{ColorImage, Context, Sense, TextureHandle, TextureOptions, Ui, vec2};
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::ScreenshotId;
 use isinglass_core::look::Look;
-use isinglass_core::mode::{Isos, Mode};
+use isinglass_core::mode::Mode;
 use isinglass_core::volume::Lighting;
 use isinglass_core::wire::VolumeDescription;
 use isinglass_formats::png;
@@ -23,19 +23,10 @@ pub(crate) enum GalleryEntry {
     Mode(Mode),
 }
 
-/// What the pictures show beside their entry.
-#[derive(Clone, PartialEq)]
-struct GallerySubject {
-    name: String,
-    dims: [u32; 3],
-    value_range: (f32, f32),
-    /// Modes are shown with this transfer function.
-    transfer_name: String,
-}
-
 #[derive(Default)]
 pub(crate) struct Gallery {
-    subject: Option<GallerySubject>,
+    /// The volume of the pictures, and the look that they vary.
+    shown: Option<(VolumeDescription, Look)>,
     /// A picture, or none where the server made none.
     pictures: Vec<(GalleryEntry, Option<TextureHandle>)>,
     requested: Option<(ScreenshotId, GalleryEntry)>,
@@ -48,31 +39,28 @@ impl Gallery {
         &mut self,
         ctx: &Context,
         source: &impl FrameSource,
-        (look, scale): (&Look, &ValueScale),
+        scale: &ValueScale,
         (pose, fov_y): (Pose, f32),
-        volume: &VolumeDescription,
     ) {
-        let transfer_name = look.transfer.name.clone();
-        let (name, dims, value_range) = (volume.name.clone(), volume.dims, volume.value_range);
-        let subject = GallerySubject { name, dims, value_range, transfer_name };
-        if self.subject.as_ref() != Some(&subject) {
-            self.forget(&subject);
-            self.subject = Some(subject);
-        }
+        let Some((volume, look)) = &self.shown else { return };
         let mut talk = source.talk();
         if let Some((id, entry)) = self.requested {
-            let Some(shot) = talk.quietly().screenshot.take_outcome().filter(|shot| shot.id == id) else {
+            let shot = talk.quietly().screenshot.take_outcome().filter(|shot| shot.id == id);
+            if shot.is_none() && talk.screenshot.wants(id) {
                 return;
-            };
+            }
+            // Without an outcome another request has taken its place.
             self.requested = None;
-            let picture = shot.png.as_ref().ok().and_then(|bytes| png::decode(bytes, MOST_PIXELS).ok());
-            let texture = picture.map(|rgb| {
-                let size = [rgb.width as usize, rgb.height as usize];
-                let image = ColorImage::from_rgb(size, &rgb.bytes);
-                ctx.load_texture(entry.name(), image, TextureOptions::LINEAR)
-            });
-            self.pictures.push((entry, texture));
-            ctx.request_repaint();
+            if let Some(shot) = shot {
+                let picture = shot.png.as_ref().ok().and_then(|bytes| png::decode(bytes, MOST_PIXELS).ok());
+                let texture = picture.map(|rgb| {
+                    let size = [rgb.width as usize, rgb.height as usize];
+                    let image = ColorImage::from_rgb(size, &rgb.bytes);
+                    ctx.load_texture(entry.name(), image, TextureOptions::LINEAR)
+                });
+                self.pictures.push((entry, texture));
+                ctx.request_repaint();
+            }
         }
         let missing = entries(volume).into_iter().find(|entry| self.picture(*entry).is_none());
         if let Some(entry) = missing {
@@ -83,6 +71,26 @@ impl Gallery {
         }
     }
 
+    /// Drops what shows another volume or look. A preset replaces the transfer function, so its picture outlives a
+    /// change of that.
+    pub(crate) fn follow(&mut self, volume: &VolumeDescription, look: &Look) {
+        let is_same = |a: &Look, b: &Look| (a.shaded, a.clip, a.isos) == (b.shaded, b.clip, b.isos);
+        match &mut self.shown {
+            Some((of, shown)) if of == volume && is_same(shown, look) => {
+                if shown.transfer != look.transfer {
+                    self.pictures.retain(|(entry, _)| matches!(entry, GalleryEntry::Preset(_)));
+                    (shown.transfer, self.requested) = (look.transfer.clone(), None);
+                }
+            }
+            _ => *self = Self { shown: Some((volume.clone(), look.clone())), ..Self::default() },
+        }
+    }
+
+    /// Has pictures made anew that the server could not make.
+    pub(crate) fn retry(&mut self) {
+        self.pictures.retain(|(_, picture)| picture.is_some());
+    }
+
     fn picture(&self, entry: GalleryEntry) -> Option<&Option<TextureHandle>> {
         self.pictures.iter().find(|(of, _)| *of == entry).map(|(_, picture)| picture)
     }
@@ -90,21 +98,6 @@ impl Gallery {
     #[cfg(test)]
     pub(crate) fn has(&self, entry: GalleryEntry) -> bool {
         matches!(self.picture(entry), Some(Some(_)))
-    }
-
-    /// Another request has taken the place of this panel's.
-    pub(crate) fn pause(&mut self) {
-        self.requested = None;
-    }
-
-    /// Drops what shows another subject.
-    fn forget(&mut self, subject: &GallerySubject) {
-        let is_same_volume = self.subject.as_ref().is_some_and(|before| {
-            let transfer_name = before.transfer_name.clone();
-            *before == GallerySubject { transfer_name, ..subject.clone() }
-        });
-        self.pictures.retain(|(entry, _)| is_same_volume && matches!(entry, GalleryEntry::Preset(_)));
-        self.requested = None;
     }
 
     /// Shows the pictures with their names. Returns the one that the person chose.
@@ -176,12 +169,7 @@ impl GalleryEntry {
                 look.mode = Mode::Composite;
                 look.transfer = isinglass_formats::preset(name).unwrap_or_else(|| look.transfer.clone());
             }
-            Self::Mode(mode) => {
-                look.mode = mode;
-                if mode == Mode::Iso && look.isos.as_slice().is_empty() {
-                    look.isos = Isos::one(scale.parting_value());
-                }
-            }
+            Self::Mode(mode) => scale.set_mode(look, mode),
         }
     }
 

@@ -1,5 +1,7 @@
 //! The values of a volume: their range and histogram.
 
+use isinglass_core::look::Look;
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::transfer::Domain;
 use isinglass_core::wire::VolumeDescription;
 use isinglass_core::wire::control::MAX_BINS;
@@ -14,6 +16,14 @@ pub(crate) struct ValueScale {
 }
 
 impl ValueScale {
+    /// Chooses a mode. Without surfaces, one appears at the value that separates the histogram best.
+    pub(crate) fn set_mode(&self, look: &mut Look, mode: Mode) {
+        look.mode = mode;
+        if mode == Mode::Iso && look.isos.as_slice().is_empty() {
+            look.isos = Isos::one(self.parting_value());
+        }
+    }
+
     pub(crate) fn of(volume: &VolumeDescription) -> Self {
         let (range, bins) = (apart(volume.value_range), apart(volume.histogram_range));
         Self { range, bins, counts: volume.histogram.clone() }

@@ -2,7 +2,7 @@
 //!
 //! | message | content |
 //! |---|---|
-//! | [`ClientMessage::Hello`], [`ServerMessage::Welcome`], [`ServerMessage::Refused`] | the request to join, and the answer; see [`super::admission`] |
+//! | [`ClientMessage::Hello`], [`ServerMessage::Welcome`], [`ServerMessage::Refused`] | the request to join, and its answer |
 //! | [`ClientMessage::Stats`] | how the client fares, at most once a second |
 //! | [`ServerMessage::Stats`] | the cost of the newest frame |
 //! | [`ServerMessage::Notice`] | one line for the user |

@@ -1,4 +1,4 @@
-//! A picture that the server renders in full, for the viewer to keep.
+//! A picture that the server renders in full, for the viewer to keep or to show beside a preset.
 //!
 //! | message | content |
 //! |---|---|
@@ -57,7 +57,8 @@ impl ScreenshotClient {
         self.newest = self.newest.next();
         let view = PoseRequest::of_view(pose, intrinsics).encode().to_vec();
         let request = ScreenshotRequest { id: self.newest, view, background, look: look.map(Box::new) };
-        let problem = request.view().err();
+        let of_look = request.look.as_deref().and_then(|look| look.validate().err()).map(Into::into);
+        let problem = request.view().err().or(of_look);
         self.wanted = Some(request.clone());
         self.outbox.offer(Some(problem.is_none().then_some(request)));
         if let Some(problem) = problem {
@@ -228,12 +229,14 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_size_and_a_view_that_is_too_large_fail() {
+    fn a_wrong_size_a_view_that_is_too_large_and_a_look_that_is_invalid_fail() {
         let mut client = ScreenshotClient::default();
         let id = client.request(pose(), Intrinsics { width: 641, ..VIEW }, [0; 3], None);
         client.handle_png(id, png());
         assert!(client.take_outcome().unwrap().png.is_err());
         client.request(pose(), Intrinsics { width: 1 << 13, height: 1 << 13, ..VIEW }, [0; 3], None);
+        assert!(client.take_outcome().unwrap().png.is_err());
+        client.request(pose(), VIEW, [0; 3], Some(Look { k: 0, ..look("a") }));
         assert!(client.take_outcome().unwrap().png.is_err());
         assert!(client.poll_message(0).is_none(), "nothing was asked for");
     }

@@ -45,7 +45,7 @@ pub enum ClientMessage {
     CancelSelection,
     /// Asks for the value at a point.
     Probe(ProbeRequest),
-    /// Asks for a picture to keep.
+    /// Asks for a full rendering.
     TakeScreenshot(ScreenshotRequest),
     /// The requested picture is no longer wanted.
     CancelScreenshot,
@@ -384,11 +384,9 @@ pub fn body_length(prefix: [u8; 4]) -> Result<usize, ControlError> {
 /// If the bytes are no message, are too many, or break a rule of the message.
 pub fn decode<M: Message>(body: &[u8]) -> Result<M, ControlError> {
     check_length(body.len())?;
-    let unpacked = match body.starts_with(&zstd::zstd_safe::MAGICNUMBER.to_le_bytes()) {
-        true => zstd::bulk::decompress(body, MAX_CONTROL_BYTES)?,
-        false => Vec::new(),
-    };
-    let body = if unpacked.is_empty() { body } else { &unpacked };
+    let is_packed = body.starts_with(&zstd::zstd_safe::MAGICNUMBER.to_le_bytes());
+    let unpacked = is_packed.then(|| zstd::bulk::decompress(body, MAX_CONTROL_BYTES)).transpose()?;
+    let body = unpacked.as_deref().unwrap_or(body);
     let config = bincode::config::standard().with_limit::<MAX_CONTROL_BYTES>();
     let (message, used): (M, usize) = bincode::serde::decode_from_slice(body, config)?;
     if used != body.len() {
@@ -526,8 +524,12 @@ mod tests {
         w.volume.histogram = (0..2000).map(|i| 100_000 / (i % 100 + 1)).collect();
         let plain =
             bincode::serde::encode_to_vec(ServerMessage::Welcome(w.clone()), bincode::config::standard());
-        let bytes = encode(&ServerMessage::Welcome(w)).unwrap();
+        let bytes = encode(&ServerMessage::Welcome(w.clone())).unwrap();
         assert!(bytes[4..].starts_with(&magic) && bytes.len() * 2 < plain.unwrap().len());
+        let again = decode(&bytes[4..]).unwrap();
+        assert!(matches!(again, ServerMessage::Welcome(again) if again.volume == w.volume));
+        let empty = zstd::bulk::compress(&[], 3).unwrap();
+        assert!(matches!(decode::<ServerMessage>(&empty), Err(ControlError::Decode(_))));
         assert!(messages().iter().all(|m| !encode(m).unwrap()[4..].starts_with(&magic)));
         let bomb = zstd::bulk::compress(&vec![0; 100 * MAX_CONTROL_BYTES], 3).unwrap();
         assert!(bomb.len() < MAX_CONTROL_BYTES);

@@ -1,4 +1,4 @@
-//! A picture that the server renders in full for a client to keep: the request, and the stream that brings it.
+//! A picture that the server renders in full: the request, and the stream that brings it.
 //!
 //! | offset | type | meaning |
 //! |---|---|---|
@@ -22,7 +22,8 @@ pub struct ScreenshotRequest {
     pub view: Vec<u8>,
     /// Background behind the volume, sRGB.
     pub background: [u8; 3],
-    /// The look, if it is not the viewer's own.
+    /// The look, if it is not the viewer's own. Its lighting does not count: the picture has no shadows and no ambient
+    /// occlusion.
     pub look: Option<Box<Look>>,
 }
 

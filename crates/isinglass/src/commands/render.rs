@@ -27,11 +27,10 @@ pub(crate) struct RenderArgs {
     /// front, which is a body's anterior side where the file knows it and +z otherwise
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    /// PNG file to write; for --turntable a folder, which is created, or a name with a # for each digit of the
-    /// picture's number
+    /// PNG file to write. With --turntable a folder, which is made, or a name with a # for each digit of a number
     #[arg(short, long, value_name = "FILE", value_parser = parse_pictures)]
     output: PathBuf,
-    /// N pictures once around the volume by azimuth, starting at --orbit
+    /// Render N pictures once around the volume, starting at --orbit
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=MAX_PICTURES))]
     turntable: Option<u32>,
     #[command(flatten)]

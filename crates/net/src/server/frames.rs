@@ -32,8 +32,7 @@ impl FrameSender {
         Self { link, _close: close }
     }
 
-    /// Hands a frame over, and returns when the network has taken it or a newer frame is handed over. Frame numbers must
-    /// ascend from 1.
+    /// Hands a frame over, and returns when the network has taken it. Frame numbers must ascend from 1.
     ///
     /// If the future is dropped, the frame is given up.
     ///

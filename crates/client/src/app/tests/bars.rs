@@ -59,3 +59,39 @@ fn presets_and_modes_are_shown_by_pictures_of_this_volume() {
     press(&mut w, Modifiers::COMMAND, Key::Z);
     assert_eq!(w.state().viewing.look().unwrap().transfer.name, "shells", "undone");
 }
+
+/// A picture that is taken while the bars are hidden takes the place of the one that the panel asked for.
+#[test]
+fn pictures_of_presets_go_on_after_a_picture_of_the_view() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut w = window([1280.0, 720.0]);
+    w.state_mut().screenshots.folder = folder.path().display().to_string();
+    w.state().viewing.source().here().sleeps = true;
+    open_panel(&mut w);
+    press(&mut w, Modifiers::NONE, Key::F11);
+    w.state().viewing.source().here().sleeps = false;
+    press(&mut w, Modifiers::NONE, Key::F12);
+    while w.state().screenshots.is_busy() {
+        rest(&mut w);
+    }
+    assert!(!w.state().gallery.has(GalleryEntry::Mode(Mode::Iso)), "the bars are hidden");
+    press(&mut w, Modifiers::NONE, Key::F11);
+    assert!(w.state().gallery.has(GalleryEntry::Mode(Mode::Iso)));
+}
+
+#[test]
+fn pictures_of_modes_follow_the_curve_and_all_follow_the_clip() {
+    let mut w = window([1280.0, 720.0]);
+    open_panel(&mut w);
+    rest(&mut w);
+    let shots = |w: &Harness<'_, ViewerApp<HereSource>>| w.state().viewing.source().here().num_shots;
+    let first = shots(&w);
+    let point = w.get_by_label_contains("point 3 of ").rect().center();
+    drag(&mut w, point, vec2(0.0, 60.0), Modifiers::NONE);
+    rest(&mut w);
+    assert_eq!(shots(&w) - first, Mode::ALL.len() as u32);
+    let edited = shots(&w);
+    press(&mut w, Modifiers::NONE, Key::C);
+    rest(&mut w);
+    assert_eq!(shots(&w) - edited, first);
+}

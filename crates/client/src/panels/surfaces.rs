@@ -1,41 +1,15 @@
-//! The mode, and the values of its surfaces.
+//! The values and opacities of surfaces.
 
 use egui::{SliderClamping, Ui};
 use isinglass_core::look::Look;
-use isinglass_core::mode::{Iso, Isos, MAX_ISOS, Mode};
+use isinglass_core::mode::{Iso, Isos, MAX_ISOS};
 
 use super::controls::{self, named_number};
-use super::text::{format_in, mode_name};
+use super::text::format_in;
 use super::value_scale::ValueScale;
 
-pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
-    ui.horizontal(|ui| {
-        let label = ui.label("mode").on_hover_text("what a pixel tells of its ray (m: the next one)");
-        let combo = egui::ComboBox::from_id_salt("mode").selected_text(mode_name(look.mode));
-        let mut mode = look.mode;
-        let combo = combo.show_ui(ui, |ui| {
-            for each in Mode::ALL {
-                ui.selectable_value(&mut mode, each, mode_name(each));
-            }
-        });
-        combo.response.labelled_by(label.id);
-        set_mode(look, mode, scale);
-    });
-    if look.mode == Mode::Iso {
-        surfaces(ui, look, scale);
-    }
-}
-
-/// Chooses a mode. Without surfaces, one appears at the value that separates the histogram best.
-pub(crate) fn set_mode(look: &mut Look, mode: Mode, scale: &ValueScale) {
-    look.mode = mode;
-    if mode == Mode::Iso && look.isos.as_slice().is_empty() {
-        look.isos = Isos::one(scale.parting_value());
-    }
-}
-
 /// A line for each surface, and a button that adds one.
-fn surfaces(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
+pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     let mut isos = look.isos.as_slice().to_vec();
     let mut removed = None;
     let (lo, hi) = scale.range;
