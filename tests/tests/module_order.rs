@@ -257,7 +257,7 @@ const IS_TEST: [&str; 3] = ["pair", "vectors", "whole_marches"];
 fn a_crate_defines_no_type_twice() {
     for entry in fs::read_dir(root().join("crates")).expect("crates") {
         let folder = entry.expect("a crate").path();
-        let files = product_files(&folder);
+        let mut files = product_files(&folder);
         assert!(!files.is_empty(), "{}", folder.display());
         assert_eq!(types_defined_twice(&files), BTreeMap::new(), "{}", folder.display());
         // The control: copies of the files define all of their types twice.

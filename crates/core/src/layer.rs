@@ -143,6 +143,29 @@ impl LayeredFrame {
         self.num_segments() as f64 / self.num_filled().max(1) as f64
     }
 
+    /// The frame of a greatest or least value without its less visible segments: no list keeps more than half the mean
+    /// length of the lists that are not empty. The greatest keys stay, so the picture from the frame's own pose does.
+    pub fn thinned(&self) -> Self {
+        let most = self.num_segments().div_ceil(2 * self.num_filled().max(1)).max(1);
+        let mut thin = Self::empty(self.header);
+        let mut kept: Vec<usize> = Vec::with_capacity(MAX_K);
+        for i in 0..self.header.camera.intrinsics.num_pixels() {
+            kept.clear();
+            kept.extend(self.list(i));
+            // The nearer first among equals.
+            kept.sort_by(|&a, &b| self.segment(b).tau.total_cmp(&self.segment(a).tau));
+            kept.truncate(most);
+            kept.sort_unstable();
+            for &s in &kept {
+                thin.depth.push(self.depth[s]);
+                thin.c_rg.push(self.c_rg[s]);
+                thin.c_b_tau.push(self.c_b_tau[s]);
+            }
+            thin.offsets[i + 1] = thin.depth.len() as u32;
+        }
+        thin
+    }
+
     /// The indices of the segments of list `i`.
     pub fn list(&self, i: usize) -> std::ops::Range<usize> {
         self.offsets[i] as usize..self.offsets[i + 1] as usize

@@ -67,6 +67,23 @@ fn values(field: Field, ray: &Ray, [s0, s1]: [f32; 2], most: f32) -> [f32; 3] {
     [greatest / most, least / most, srgb_from_linear(mean)]
 }
 
+/// Without its lesser values a frame of greatest or least values has fewer segments and the same picture. A mean, which
+/// needs all of them, has not.
+#[test]
+fn a_thinned_projection_is_the_same_picture_from_its_own_pose() {
+    let volume = Arc::new(isinglass_core::volume::procedural::Builtin::Shells.volume(32));
+    for (mode, is_same) in [(Mode::Mip, true), (Mode::MinIp, true), (Mode::Average, false)] {
+        let scene = Scene::new(volume.clone(), &ramp(255.0), settings(mode));
+        let frame = generate(&scene, FrameHeader::alone(camera(&scene, 0.4), 8));
+        let thin = frame.thinned();
+        thin.validate().unwrap();
+        assert!(thin.num_segments() * 3 < frame.num_segments() * 2, "{mode}");
+        let [whole, thin] = [&frame, &thin].map(|frame| frame.flatten().to_srgb8([0.0; 3]));
+        let most = whole.iter().zip(&thin).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+        assert_eq!(most == 0, is_same, "{mode}: {most}");
+    }
+}
+
 #[test]
 fn projections_of_fields_are_what_their_names_say() {
     let fields = [

@@ -199,7 +199,10 @@ impl Pipeline {
             let started = Instant::now();
             let wanted = || ticket.wish.holds();
             let (coding, reference) = (&ticket.sending.coding, ticket.reference.as_deref());
-            let work = || coding.encode_while(&generated.frame, reference, &wanted);
+            let work = || match ticket.sending.is_thinned {
+                true => coding.encode_while(&generated.frame.thinned(), reference, &wanted),
+                false => coding.encode_while(&generated.frame, reference, &wanted),
+            };
             let (encoded, reference) = after_work.run(Work::Encode, || coders.install(work))?;
             let encode_micros = started.elapsed().as_micros() as u64;
             Ok(Coded { ticket, generated, encoded, reference, encode_micros })

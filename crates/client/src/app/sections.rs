@@ -179,7 +179,8 @@ impl<S: FrameSource> ViewerApp<S> {
             return;
         }
         self.gallery.follow(volume, look);
-        let is_free = !self.screenshots.is_busy() && !self.was_active;
+        let is_dragging = ctx.input(|i| i.pointer.any_down());
+        let is_free = !self.screenshots.is_busy() && !self.was_active && !is_dragging;
         if let Some((_, controls)) = self.controls.as_ref().filter(|_| is_free)
             && self.viewing.source().state() == State::Connected
         {

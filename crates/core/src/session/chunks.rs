@@ -418,7 +418,7 @@ pub fn priority(frame: FrameId, index: ChunkIndex, rank: Rank) -> i32 {
         Rank::Independent => (1, newer_first),
         Rank::Finer => (0, newer_first),
     };
-    rank * PER_RANK + (frame << 4) + 14 - i32::from(index.0)
+    rank * PER_RANK + (frame << 4) + 14 - i32::from(index.0.min(14))
 }
 
 /// Most frames in reassembly: half a second of predicted frames at 60 Hz, while a lost packet of the first is sent

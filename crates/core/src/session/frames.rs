@@ -9,6 +9,7 @@ use crate::camera::{Camera, Intrinsics};
 use crate::codec::Coding;
 use crate::ids::{FrameId, LookVersion, PoseId};
 use crate::layer::{FrameHeader, max_lists};
+use crate::mode::Compositing;
 use crate::space::Aabb;
 use crate::wire::PoseRequest;
 
@@ -36,6 +37,8 @@ pub struct Sending {
     pub is_finer: bool,
     /// Whether the viewer already has the exact picture with another margin.
     pub is_margin: bool,
+    /// Whether it is sent without its less visible segments ([`thinned`](crate::layer::LayeredFrame::thinned)).
+    pub is_thinned: bool,
 }
 
 impl Sending {
@@ -181,17 +184,21 @@ impl FramesServer {
         self.coding.handle_link(now_micros, link);
         self.coding.handle_turned(asked.request.shown_turn_deg.filter(|_| !asked.is_again));
         let is_margin = self.shows_exactly(&asked.header);
+        let num_lists = asked.header.camera.intrinsics.num_pixels();
         let coding = match is_margin {
             true => Coding::Exact,
-            false => self.coding.next(asked.header.camera.intrinsics.num_pixels(), has_reference),
+            false => self.coding.next(num_lists, has_reference),
         };
-        Sending { asked, coding: coding.for_mode(mode), is_finer: false, is_margin }
+        // The greatest values alone are the exact picture of their own pose.
+        let can_be_thinned = !is_margin && mode.compositing() == Compositing::Greatest;
+        let is_thinned = can_be_thinned && self.coding.takes_long(num_lists);
+        Sending { asked, coding: coding.for_mode(mode), is_finer: false, is_margin, is_thinned }
     }
 
     /// A frame is coded.
     pub fn handle_encoded(&mut self, sending: &Sending, is_predicted: bool, bytes: usize, micros: u64) {
         // What a frame predicted from itself takes says nothing about others.
-        if !sending.is_finer || matches!(sending.coding, Coding::Exact) {
+        if !sending.is_thinned && (!sending.is_finer || sending.coding == Coding::Exact) {
             let num_lists = sending.asked.header.camera.intrinsics.num_pixels();
             self.coding.handle_encoded(&sending.coding, is_predicted, num_lists, bytes, micros);
         }
@@ -215,7 +222,8 @@ impl FramesServer {
         let coding = self.finer(&sent, look)?;
         self.newest = self.newest.next();
         let header = FrameHeader { frame: self.newest, ..sent.asked.header };
-        Some(Sending { asked: Asked { header, ..sent.asked }, coding, is_finer: true, ..sent })
+        let asked = Asked { header, ..sent.asked };
+        Some(Sending { asked, coding, is_finer: true, is_thinned: false, ..sent })
     }
 
     /// Whether a finer frame or a margin is no longer worth its time, given this pose and look.
@@ -234,7 +242,10 @@ impl FramesServer {
             && self.is_answered(header.pose, look.version())
             && header.look == look.version();
         let num_lists = header.camera.intrinsics.num_pixels();
-        is_newest.then(|| self.coding.finer(num_lists, &sent.coding)).flatten()
+        match is_newest && sent.is_thinned {
+            true => Some(sent.coding),
+            false => is_newest.then(|| self.coding.finer(num_lists, &sent.coding)).flatten(),
+        }
     }
 
     /// Whether the viewer has, or will have, the exact picture of this frame, differing only in its margin.
@@ -276,6 +287,7 @@ mod tests {
 
     use super::*;
     use crate::camera::Pose;
+    use crate::mode::Mode;
     use crate::session::pair::look;
 
     const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
@@ -372,6 +384,21 @@ mod tests {
         assert!(FramesServer::is_outdated(&margin, &request(3, 0.1), looks.version()));
         assert!(FramesServer::is_outdated(&margin, &request(3, 0.0), LookVersion(2)));
         assert!(!FramesServer::is_outdated(&first, &request(3, 0.1), looks.version()), "a usual one is sent");
+        // On a slow link a projection goes without its less visible segments first.
+        for (link, is_thinned) in [
+            (LINK, false),
+            (LinkState { window_bytes: 1000, rtt_micros: 100_000, least_rtt_micros: 100_000 }, true),
+        ] {
+            let (mut frames, looks) = of_server();
+            let asked = frames.begin(0, &request(1, 0.0), &looks, &BOUNDS);
+            frames.choose_coding(0, link, asked, Mode::Mip, false);
+            let first = frames.choose_coding(20_000_000, link, asked, Mode::Mip, false);
+            assert_eq!((first.coding, first.is_thinned), (Coding::Exact, is_thinned));
+            assert!(!frames.choose_coding(20_000_000, link, asked, Mode::Average, false).is_thinned);
+            frames.handle_sent(first);
+            let finer = frames.poll_finer(REST_MICROS, &looks);
+            assert_eq!(finer.map(|f| (f.is_finer, f.is_thinned)), is_thinned.then_some((true, false)));
+        }
         // Neither a draft nor an older look is made finer.
         let (mut frames, mut looks) = of_server();
         send(&mut frames, &looks, 300_000, &request(4, 0.5));

@@ -183,6 +183,12 @@ impl CodingControl {
         link.min(self.plan.bytes_per_second.unwrap_or(f64::INFINITY))
     }
 
+    /// Whether the link takes long for an exact frame of `num_lists` lists.
+    pub fn takes_long(&self, num_lists: usize) -> bool {
+        let bytes = self.exact_bytes.get_or(EXACT_BYTES_PER_LIST) * num_lists as f64;
+        bytes / self.bytes_per_second() > LONG_EXACT_SECONDS
+    }
+
     /// The coding of the next frame, of `num_lists` lists; `is_predicted` if it can be predicted from another.
     pub fn next(&mut self, num_lists: usize, is_predicted: bool) -> Coding {
         let rate = self.bytes_per_second();
@@ -324,6 +330,8 @@ const LEAST_TIMELY_QUALITY: f64 = 40.0;
 /// Delay that an exact frame is worth: half the time to the next frame, or a part of the generation time.
 const EXACT_SHARE_OF_INTERVAL: f64 = 0.48;
 const EXACT_SHARE_OF_MAKING: f64 = 0.15;
+/// A time on the link from which on an exact frame of a moving camera is thinned, s.
+const LONG_EXACT_SECONDS: f64 = 0.1;
 /// A wait for the exact frame that justifies a finer one in between, s.
 const LONG_SECONDS: f64 = 0.25;
 /// Bytes per list of an exact frame before any measurement.

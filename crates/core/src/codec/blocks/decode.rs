@@ -14,7 +14,7 @@ use super::corrections;
 use super::entropy::Decoder;
 use super::head::Head;
 use super::model::MAX_LAYERS;
-use super::motion::CameraMotion;
+use super::motion::ReferenceMotion;
 use super::reference::{Reference, References};
 
 /// Decodes all chunks of a frame, in order of index.
@@ -63,7 +63,7 @@ fn decode_band(
         }
         None => None,
     };
-    let motion = reference.map(|r| (&**r, CameraMotion::new(&header.frame.camera, &r.header.camera)));
+    let motion = reference.map(|r| (&**r, ReferenceMotion::new(&header.frame.camera, &r.header.camera)));
     // Memory for about as many cells as a band of the reference has, but bounded by the number of bytes.
     let num_cells =
         reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(coded.len() * CELLS_PER_BYTE));

@@ -16,7 +16,7 @@ use super::entropy::Encoder;
 use super::head::{self, Head};
 use super::layer_search::{BlockLists, LayerSearch};
 use super::model::{BLOCK, BLOCK_LISTS, BandPlace, MAX_LAYERS};
-use super::motion::CameraMotion;
+use super::motion::ReferenceMotion;
 use super::reference::{Notes, Reference};
 use super::scales::ycc_from_roots;
 use super::steps::{self, LayerCost, Settings, StepSizes};
@@ -53,7 +53,7 @@ pub(in crate::codec) fn encode_while(
     let num_bands = num_bands(camera.intrinsics.height).min(settings.max_bands.max(1));
     let borders = bands::borders(frame, num_bands);
     let head = Head { steps, reference: reference.map(Reference::frame), borders };
-    let motion = reference.map(|r| (r, CameraMotion::new(&camera, &r.header.camera)));
+    let motion = reference.map(|r| (r, ReferenceMotion::new(&camera, &r.header.camera)));
     // Bands are ordered from both ends. So a thread with two neighbours in this order has one from the border and one
     // from the middle, and wrong estimates of their time even out.
     let num = usize::from(num_bands);
@@ -90,7 +90,7 @@ fn band(
     place: BandPlace,
     cost: LayerCost,
     steps: StepSizes,
-    reference: Option<(&Reference, CameraMotion)>,
+    reference: Option<(&Reference, ReferenceMotion)>,
     wanted: Wanted<'_>,
 ) -> Result<EncodedBand, CodecError> {
     let mut planner = BlockPlanner::new(frame, place, cost, steps, reference, wanted);
@@ -165,7 +165,7 @@ struct BlockPlanner<'a> {
     place: BandPlace,
     cost: LayerCost,
     steps: StepSizes,
-    reference: Option<(&'a Reference, CameraMotion)>,
+    reference: Option<(&'a Reference, ReferenceMotion)>,
     search: LayerSearch,
     lists: BlockLists,
     own: PlaneCandidate,
@@ -188,7 +188,7 @@ impl<'a> BlockPlanner<'a> {
         place: BandPlace,
         cost: LayerCost,
         steps: StepSizes,
-        reference: Option<(&'a Reference, CameraMotion)>,
+        reference: Option<(&'a Reference, ReferenceMotion)>,
         is_wanted: Wanted<'a>,
     ) -> Self {
         Self {

@@ -9,7 +9,7 @@ use crate::layer::DEPTH_UNITS;
 
 /// The motion from a camera to that of a reference.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct CameraMotion {
+pub(super) struct ReferenceMotion {
     /// With p = (x, y, 1) and view depth z, the homogeneous reference pixel and the depth are z·`linear`·p +
     /// `offset`. For parallel rays they are `linear`·p + z·`along` + `offset`.
     linear: [[f64; 3]; 4],
@@ -35,7 +35,7 @@ pub(super) struct Shift {
     pub(super) z: f32,
 }
 
-impl CameraMotion {
+impl ReferenceMotion {
     pub(super) fn new(camera: &Camera, reference: &Camera) -> Self {
         let (from, to) = (Frustum::new(camera), Frustum::new(reference));
         // Direction with view depth 1 through (x, y): forward + right (2x/w − 1) + up (1 − 2y/h). For parallel rays,
@@ -157,7 +157,7 @@ mod tests {
     #[test]
     fn points_move_as_the_cameras_say() {
         let (from, to) = (camera(0.3), camera(0.36));
-        let motion = CameraMotion::new(&from, &to);
+        let motion = ReferenceMotion::new(&from, &to);
         let basis = to.basis();
         let mut moved: f32 = 0.0;
         for (x, y, z) in [(12.5, 80.0, 20_000.0), (160.0, 100.0, 40_000.0), (300.0, 10.0, 33_000.0)] {
@@ -171,7 +171,7 @@ mod tests {
             moved = moved.max(shift.x.abs());
         }
         assert!(moved > 1.0);
-        let still = CameraMotion::new(&from, &from).at(100.0, 50.0, 30_000.0).unwrap();
+        let still = ReferenceMotion::new(&from, &from).at(100.0, 50.0, 30_000.0).unwrap();
         // A rotation of single precision is off by some 1e-7, of coordinates up to 320 and of 65535 units.
         assert!(still.x.abs() < 1e-3 && still.y.abs() < 1e-3 && still.z.abs() < 0.1, "{still:?}");
     }
@@ -180,8 +180,8 @@ mod tests {
     fn what_the_reference_cannot_see_does_not_move() {
         let (from, mut to) = (camera(0.0), camera(0.0));
         to.pose = Pose::orbit(Vec3::ZERO, std::f32::consts::PI, 0.0, -20.0);
-        assert!(CameraMotion::new(&from, &to).at(160.0, 100.0, 30_000.0).is_none());
-        assert!(CameraMotion::new(&from, &from).at(f32::NAN, 0.0, 0.0).is_none());
+        assert!(ReferenceMotion::new(&from, &to).at(160.0, 100.0, 30_000.0).is_none());
+        assert!(ReferenceMotion::new(&from, &from).at(f32::NAN, 0.0, 0.0).is_none());
     }
 
     #[test]

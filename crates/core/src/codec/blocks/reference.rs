@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::band::{Band, CellLayer, CellPlanes, NO_CELLS, greater, lesser};
 use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
-use super::motion::{CameraMotion, Shift};
+use super::motion::{ReferenceMotion, Shift};
 use super::scales::{f32_from_fixed, scales, whole};
 use super::steps::StepSizes;
 use super::transform::BlockPlane;
@@ -92,7 +92,7 @@ impl Reference {
 
     /// Column and row of the reference's block that the middle of the block at (`x`, `y`) of a frame moves to. They
     /// may lie outside.
-    pub(super) fn moved_to(&self, motion: &CameraMotion, x: usize, y: usize) -> Option<[i32; 2]> {
+    pub(super) fn moved_to(&self, motion: &ReferenceMotion, x: usize, y: usize) -> Option<[i32; 2]> {
         // The depth of the move is the reference's, here or in a neighbour.
         let (front, _) = [(0, 0), (0, -1), (-1, 0), (1, 0), (0, 1)].into_iter().find_map(|(dx, dy)| {
             let (band, block) = self.block(x as i32 + dx, y as i32 + dy)?;

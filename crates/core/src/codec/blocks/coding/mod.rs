@@ -8,7 +8,7 @@ use super::super::error::{CodecError, at_most};
 use super::band::{Band, OpenBlock, Planes};
 use super::entropy::Coder;
 use super::model::{BLOCK, BandPlace, BlockLayer, DepthPlane};
-use super::motion::{CameraMotion, Shift};
+use super::motion::{ReferenceMotion, Shift};
 use super::reference::{Fetched, HALF, Reference};
 use super::steps::StepSizes;
 use super::syntax::Contexts;
@@ -69,7 +69,7 @@ pub(super) struct BandCoder<'a, C> {
     contexts: Box<Contexts>,
     steps: StepSizes,
     place: BandPlace,
-    reference: Option<(&'a Reference, CameraMotion)>,
+    reference: Option<(&'a Reference, ReferenceMotion)>,
     band: Band,
     /// One for each pair of planes of the band.
     layers: Vec<CodedLayer>,
@@ -85,7 +85,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         coder: C,
         steps: StepSizes,
         place: BandPlace,
-        reference: Option<(&'a Reference, CameraMotion)>,
+        reference: Option<(&'a Reference, ReferenceMotion)>,
         num_cells: usize,
     ) -> Self {
         Self {

@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::super::model::{BLOCK, BlockLayer, DepthPlane};
-use super::lists::{BlockLists, Collected, ListWalk, TAU_MIN};
+use super::lists::{BlockLists, CollectedLight, ListWalk, TAU_MIN};
 use super::{
     BLOCK_LISTS, Column, KAPPA_FLOOR, ListSubset, SAMPLES, SampleColumn, greater, lesser, select, sum,
 };
@@ -43,8 +43,8 @@ impl AssignedLayer {
     fn fill(
         &mut self,
         first: usize,
-        from: &Collected,
-        to: &Collected,
+        from: &CollectedLight,
+        to: &CollectedLight,
         e: &[SampleColumn; 3],
         pieces: [&[u32; SAMPLES]; 2],
     ) -> u64 {
@@ -108,11 +108,11 @@ impl Assigned {
         }
         for first in (0..of.num()).step_by(SAMPLES) {
             let numbers = std::array::from_fn(|i| of.list(first + i));
-            let mut before = Collected::NOTHING;
+            let mut before = CollectedLight::NOTHING;
             walk.start_at_borders(lists, &numbers, &mut before);
             for (n, cells) in self.cells[..self.num].iter_mut().enumerate() {
                 let (first_pieces, e) = (walk.index, walk.e);
-                let mut here = Collected::NOTHING;
+                let mut here = CollectedLight::NOTHING;
                 walk.go_to_borders(lists, &borders(planes, n, &numbers), &mut here, &mut ());
                 let pieces = [&first_pieces, &walk.index];
                 let hidden = cells.fill(first, &before, &here, &e, pieces);

@@ -1,7 +1,7 @@
 //! Chooses where layers begin. Of many candidate depths, it drops those whose loss moves matter least (greedy
 //! merging).
 
-use super::lists::{BlockLists, Collected, ListWalk};
+use super::lists::{BlockLists, CollectedLight, ListWalk};
 use super::{
     BLOCK, BLOCK_LISTS, KAPPA_FLOOR, LayerCost, MAX_LAYERS, SAMPLES, SampleColumn, fourth_root, greater,
     lesser, power_5_4, select, sum,
@@ -13,7 +13,7 @@ use crate::kernels::raycast::opacity;
 pub(super) struct CutSearch {
     /// Candidate cuts, sheared, and what lists collect up to them.
     cuts: Vec<f32>,
-    rows: Vec<Collected>,
+    rows: Vec<CollectedLight>,
     /// Groups: the ranges between two cuts that have matter and are still separate.
     groups: Vec<Group>,
     /// Error that a union with the next group would add; infinite for the last group.
@@ -161,7 +161,7 @@ impl CutSearch {
     /// Fills in the walk's values at all cuts.
     #[inline(always)]
     fn collect(&mut self, walk: &mut ListWalk, lists: &BlockLists) {
-        self.rows.resize(self.cuts.len().max(self.rows.len()), Collected::NOTHING);
+        self.rows.resize(self.cuts.len().max(self.rows.len()), CollectedLight::NOTHING);
         walk.start(lists, &std::array::from_fn(|i| lists.sampled(i)));
         for (cut, row) in self.cuts.iter().zip(&mut self.rows) {
             walk.go_to(lists, *cut, row);
@@ -238,7 +238,7 @@ pub(super) fn weight(kappa: f32, slope: f32) -> f32 {
 
 /// The spread of fronts and backs about their means.
 #[inline(always)]
-fn misfit(front: &Collected, back: &Collected, slope: &SampleColumn) -> f32 {
+fn misfit(front: &CollectedLight, back: &CollectedLight, slope: &SampleColumn) -> f32 {
     let mut w = [0.0; SAMPLES];
     for (i, w) in w.iter_mut().enumerate() {
         let alpha = 1.0 - back.kappa[i] * front.per_kappa[i];
@@ -261,7 +261,7 @@ fn misfit(front: &Collected, back: &Collected, slope: &SampleColumn) -> f32 {
 
 /// How far matter moves when the matter between the first two rows and that between the last two become one medium.
 #[inline(always)]
-fn joined(rows: [&Collected; 4], slope: &SampleColumn) -> f32 {
+fn joined(rows: [&CollectedLight; 4], slope: &SampleColumn) -> f32 {
     let mut moved = [0.0; SAMPLES];
     for (i, moved) in moved.iter_mut().enumerate() {
         *moved = joined_in_list(rows, i) * weight(rows[0].kappa[i], slope[i]);
@@ -271,7 +271,7 @@ fn joined(rows: [&Collected; 4], slope: &SampleColumn) -> f32 {
 
 /// The same for list `i`, without the weight.
 #[inline(always)]
-pub(super) fn joined_in_list([front, mid, mid_next, back]: [&Collected; 4], i: usize) -> f32 {
+pub(super) fn joined_in_list([front, mid, mid_next, back]: [&CollectedLight; 4], i: usize) -> f32 {
     let ends = [front.next[i], mid.last[i], mid_next.next[i], back.last[i]];
     let in_both = (ends[0] < ends[1]) & (ends[2] < ends[3]);
     let per_kappa = front.per_kappa[i];

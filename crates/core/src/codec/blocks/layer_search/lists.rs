@@ -283,7 +283,7 @@ impl BlockLists {
 /// What sixteen lists collect up to a place in each.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-pub(super) struct Collected {
+pub(super) struct CollectedLight {
     /// Optical depth.
     pub(super) tau: SampleColumn,
     /// Transmittance, and its inverse.
@@ -297,7 +297,7 @@ pub(super) struct Collected {
     pub(super) last: SampleColumn,
 }
 
-impl Collected {
+impl CollectedLight {
     pub(super) const NOTHING: Self = Self {
         tau: [0.0; SAMPLES],
         kappa: [1.0; SAMPLES],
@@ -403,7 +403,7 @@ impl ListWalk {
 
     /// Moves on to `depth`, which must not be less than in the previous call.
     #[inline(always)]
-    pub(super) fn go_to(&mut self, lists: &BlockLists, depth: f32, out: &mut Collected) {
+    pub(super) fn go_to(&mut self, lists: &BlockLists, depth: f32, out: &mut CollectedLight) {
         self.enter_all(lists, |_, back, _| back <= depth, &mut ());
         self.collected(&[depth; SAMPLES], |depth, front, _| depth > front, out);
     }
@@ -414,7 +414,7 @@ impl ListWalk {
         &mut self,
         lists: &BlockLists,
         numbers: &[usize; SAMPLES],
-        out: &mut Collected,
+        out: &mut CollectedLight,
     ) {
         self.shear = [0.0; SAMPLES];
         self.border = [f32::NEG_INFINITY; SAMPLES];
@@ -429,7 +429,7 @@ impl ListWalk {
         &mut self,
         lists: &BlockLists,
         depth: &SampleColumn,
-        out: &mut Collected,
+        out: &mut CollectedLight,
         leaving: &mut impl PieceObserver,
     ) {
         for (border, depth) in self.border.iter_mut().zip(depth) {
@@ -470,9 +470,9 @@ impl ListWalk {
 
     /// What is collected where pieces begin and the previous ones have ended, without the inverse transmittance.
     #[inline(always)]
-    pub(super) fn at_fronts(&self) -> Collected {
+    pub(super) fn at_fronts(&self) -> CollectedLight {
         let Self { tau, kappa, c, front: next, last, .. } = *self;
-        Collected { tau, kappa, per_kappa: [1.0; SAMPLES], c, next, last }
+        CollectedLight { tau, kappa, per_kappa: [1.0; SAMPLES], c, next, last }
     }
 
     /// Whether the piece of list `i` begins in front of the walk's next border.
@@ -487,7 +487,7 @@ impl ListWalk {
         &self,
         depth: &SampleColumn,
         is_inside: impl Fn(f32, f32, f32) -> bool,
-        out: &mut Collected,
+        out: &mut CollectedLight,
     ) {
         for i in 0..SAMPLES {
             let (front, depth) = (self.front[i], depth[i]);

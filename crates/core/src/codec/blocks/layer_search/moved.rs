@@ -2,32 +2,32 @@
 
 use super::assign::borders;
 use super::cuts::{joined_in_list, weight};
-use super::lists::{BlockLists, Collected, ListWalk, PieceObserver};
+use super::lists::{BlockLists, CollectedLight, ListWalk, PieceObserver};
 use super::{DepthPlane, ListSubset, SAMPLES, SampleColumn, power_5_4, select, sum};
 use crate::kernels::raycast::opacity;
 
 /// The partings of lists in a layer: a gap, or the border of two pieces. Has what lists collect up to there.
 struct Gaps<'a> {
     /// What is collected up to the layer.
-    before: &'a Collected,
+    before: &'a CollectedLight,
     slope: &'a SampleColumn,
     /// Mask of the lists with a parting that is not weighed yet.
     mask: u64,
-    at: Collected,
+    at: CollectedLight,
     /// How far matter moves by the weighed partings.
     joined: f32,
 }
 
 impl<'a> Gaps<'a> {
     #[inline(always)]
-    fn new(before: &'a Collected, slope: &'a SampleColumn) -> Self {
-        Self { before, slope, mask: 0, at: Collected::NOTHING, joined: 0.0 }
+    fn new(before: &'a CollectedLight, slope: &'a SampleColumn) -> Self {
+        Self { before, slope, mask: 0, at: CollectedLight::NOTHING, joined: 0.0 }
     }
 
     /// Weighs the partings of these lists and forgets them. The matter in front and that behind, up to `to`, become
     /// one medium.
     #[inline(always)]
-    fn weigh(&mut self, lists: u64, to: &Collected) {
+    fn weigh(&mut self, lists: u64, to: &CollectedLight) {
         let lists = self.mask & lists;
         if lists == 0 {
             return;
@@ -81,11 +81,11 @@ pub(super) fn moved(
     let mut error = 0.0;
     for first in (0..of.num()).step_by(SAMPLES) {
         let numbers = std::array::from_fn(|i| of.list(first + i));
-        let mut before = Collected::NOTHING;
+        let mut before = CollectedLight::NOTHING;
         walk.start_at_borders(lists, &numbers, &mut before);
         let slope = walk.slope;
         for (n, (front, back)) in planes.iter().enumerate() {
-            let (mut partings, mut here) = (Gaps::new(&before, &slope), Collected::NOTHING);
+            let (mut partings, mut here) = (Gaps::new(&before, &slope), CollectedLight::NOTHING);
             walk.go_to_borders(lists, &borders(planes, n, &numbers), &mut here, &mut partings);
             partings.weigh(u64::MAX, &here);
             error += partings.joined;
