@@ -1,22 +1,19 @@
 //! Single lines over the picture: news at the bottom, and at the top that the picture is older than the look.
 
-use egui::{Align2, Color32, RichText, vec2};
+use egui::{Align2, RichText, vec2};
 use isinglass_net::State;
 
-use super::style::{bright, pane};
+use super::style::{bright, pane, warning};
 
 /// Shows news at the bottom, or trouble in amber.
 pub(crate) fn show(ctx: &egui::Context, text: &str, is_trouble: bool, room: egui::Rect) {
     let area = egui::Area::new(egui::Id::unique("banner"));
     let area = area.constrain_to(room).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
-    let (fill, color) = match is_trouble {
-        true => (Color32::from_rgba_unmultiplied(62, 48, 20, 235), Color32::from_rgb(245, 220, 165)),
-        false => (pane(ctx).fill, bright(ctx)),
-    };
     area.interactable(false).show(ctx, |ui| {
-        pane(ctx).fill(fill).show(ui, |ui| {
+        pane(ctx).show(ui, |ui| {
             ui.set_max_width((room.width() - 40.0).max(100.0));
-            ui.label(RichText::new(text).color(color).size(13.0));
+            let color = if is_trouble { warning(ui) } else { bright(ctx) };
+            ui.label(RichText::new(text).color(color));
         });
     });
 }
