@@ -3,6 +3,7 @@
 
 mod actions;
 mod bars;
+mod icon_strip;
 pub(crate) mod open_dialog;
 pub(crate) mod options;
 mod picture;
@@ -74,6 +75,8 @@ pub(crate) enum AppWish {
     Volume(LoadRequest),
     /// Open the volume of a state.
     State(Box<ReadState>),
+    /// Connect to another server, and show it as the state says if the link has no state of its own.
+    Server(Box<(Link, Option<ReadState>)>),
 }
 
 pub(crate) struct ViewerApp<S> {

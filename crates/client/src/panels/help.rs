@@ -115,7 +115,11 @@ fn draw(ui: &mut Ui, columns: &[Vec<&TaskBlock<'_>>], size: egui::Vec2, column: 
                 let keys = RichText::new(keys).color(bright).strong();
                 cell(at, vec2(keys_width - KEY_GAP, *height), keys);
                 let text_width = column - keys_width;
-                cell(at + vec2(*keys_width, 0.0), vec2(text_width, *height), RichText::new(*text).color(quiet));
+                cell(
+                    at + vec2(*keys_width, 0.0),
+                    vec2(text_width, *height),
+                    RichText::new(*text).color(quiet),
+                );
                 at.y += height;
             }
             at.y += GAPS.y;

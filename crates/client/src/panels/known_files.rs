@@ -23,7 +23,9 @@ impl KnownFile {
         match content_of(path) {
             Ok(Content::Volume(_) | Content::Folder) => Self::Volume,
             Ok(Content::State) => Self::State,
-            Ok(Content::Text) if is_named_as_transfer(path) || import_transfers(path).is_ok() => Self::Transfer,
+            Ok(Content::Text) if is_named_as_transfer(path) || import_transfers(path).is_ok() => {
+                Self::Transfer
+            }
             Ok(Content::Text) => Self::Unknown(not_opened(path, "another kind of text")),
             Ok(Content::Other(found)) => Self::Unknown(not_opened(path, found)),
             Err(e) => Self::Unknown(e.to_string()),
@@ -55,7 +57,8 @@ fn not_opened(path: &Path, found: &str) -> String {
 }
 
 fn name_of(path: &Path) -> String {
-    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let name =
+        path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     name.chars().take(80).map(|c| if c.is_control() { '?' } else { c }).collect()
 }
 

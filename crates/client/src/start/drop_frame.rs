@@ -37,7 +37,8 @@ impl DropFrame {
         if !self.over.is_empty() {
             let (text, opens) = self.told.clone().unwrap_or_else(|| ("looking…".into(), true));
             let more = self.over.len() - 1;
-            let text = if more > 0 { format!("{text} (the first that opens of {} files)", more + 1) } else { text };
+            let text =
+                if more > 0 { format!("{text} (the first that opens of {} files)", more + 1) } else { text };
             frame(ctx, &text, opens, false);
             return true;
         }

@@ -41,7 +41,10 @@ impl HintFile {
     /// Stores which hints are left, if that has changed.
     pub(super) fn follow(&mut self, ctx: &egui::Context, hints: &Hints) {
         let is_writing = self.writing.is_busy() && self.writing.take().is_none();
-        if !is_writing && self.num_starts <= STARTS_WITH_HINTS && self.stored.as_ref().is_some_and(|s| s != hints) {
+        if !is_writing
+            && self.num_starts <= STARTS_WITH_HINTS
+            && self.stored.as_ref().is_some_and(|s| s != hints)
+        {
             self.stored = Some(hints.clone());
             self.write(ctx, hints);
         }

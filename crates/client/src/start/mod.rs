@@ -19,7 +19,7 @@ use egui::{Align2, RichText};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ClientSession;
 use isinglass_formats::{LoadRequest, ReadState, RecentEntry, RecentPlace, read_state};
-use isinglass_net::{Clock, LinkStats, ReceivedFrame, State, Talking};
+use isinglass_net::{Clock, Link, LinkStats, ReceivedFrame, State, Talking};
 
 use self::drop_frame::DropFrame;
 use self::hint_file::HintFile;
@@ -173,6 +173,7 @@ impl StartWindow {
                     AppWish::ChooseFile => self.choose_file(&ctx),
                     AppWish::Volume(request) => self.open_by(Act::Open, request),
                     AppWish::State(read) => self.open_state(Ok(read)),
+                    AppWish::Server(server) => self.connect(&server.0, server.1),
                 }
                 ctx.request_repaint();
             }
@@ -192,13 +193,7 @@ impl StartWindow {
 
     fn fulfil(&mut self, wish: PageWish, ctx: &egui::Context) {
         match wish {
-            PageWish::Connect(link) => {
-                self.act = Act::Connect;
-                match Opening::connect(&link, &self.clock, &self.wake) {
-                    Ok(opening) => self.opening = Some(opening),
-                    Err(problem) => self.fail(problem),
-                }
-            }
+            PageWish::Connect(link) => self.connect(&link, None),
             PageWish::ChooseFile => self.choose_file(ctx),
             PageWish::Open(request) => self.open_by(Act::Open, request),
             PageWish::OpenRecent(request) => self.open_by(Act::Recent, request),
@@ -225,6 +220,18 @@ impl StartWindow {
     fn open_by(&mut self, act: Act, request: LoadRequest) {
         self.act = act;
         self.open(request);
+    }
+
+    /// Begins to connect, to show the volume as the link's own state says, or else `state`.
+    fn connect(&mut self, link: &Link, state: Option<ReadState>) {
+        (self.act, self.problem) = (Act::Connect, None);
+        let state = state.filter(|_| link.state.is_none());
+        match Opening::connect(link, &self.clock, &self.wake) {
+            Ok(opening) => {
+                self.opening = Some(state.into_iter().fold(opening, Opening::seen_as));
+            }
+            Err(problem) => self.fail(problem),
+        }
     }
 
     fn open(&mut self, request: LoadRequest) {

@@ -149,7 +149,13 @@ impl StartPage {
         });
     }
 
-    fn connect_choice(&mut self, ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
+    fn connect_choice(
+        &mut self,
+        ui: &mut Ui,
+        scene: &PageScene<'_>,
+        height: f32,
+        wish: &mut Option<PageWish>,
+    ) {
         choice(ui, (Icon::Cable, "Connect to a server"), height, |ui| {
             let has_link = !self.link_text.trim().is_empty();
             ui.horizontal(|ui| {

@@ -157,9 +157,9 @@ fn read(path: &Path) -> Option<ColorImage> {
     file.take(MOST_BYTES).read_to_end(&mut bytes).ok().filter(|_| is_small)?;
     let rgb = png::decode(&bytes, u64::from(MOST_SIDE * MOST_SIDE)).ok()?;
     let size = [rgb.width, rgb.height];
-    size.iter().all(|side| (1..=MOST_SIDE).contains(side)).then(|| {
-        ColorImage::from_rgb(size.map(|side| side as usize), &rgb.bytes)
-    })
+    size.iter()
+        .all(|side| (1..=MOST_SIDE).contains(side))
+        .then(|| ColorImage::from_rgb(size.map(|side| side as usize), &rgb.bytes))
 }
 
 /// Width and height of a picture, pixels, at most.

@@ -116,11 +116,10 @@ impl Browser {
         self.takes_volumes = volumes.is_some();
         self.folder.poll();
         let is_told = |e: &Entry| !e.is_folder || e.content.is_some();
-        let is_unclear =
-            |name: &str| self.enters_wanted && self.folder.entries.iter().any(|e| e.name == name && !is_told(e));
-        if let Some(name) =
-            self.wanted_name.take_if(|name| !self.folder.is_listing && !is_unclear(name))
-        {
+        let is_unclear = |name: &str| {
+            self.enters_wanted && self.folder.entries.iter().any(|e| e.name == name && !is_told(e))
+        };
+        if let Some(name) = self.wanted_name.take_if(|name| !self.folder.is_listing && !is_unclear(name)) {
             let found = self.folder.entries.iter().position(|e| e.name == name);
             self.select(found);
             let is_folder = self.entry().is_some_and(|entry| entry.is_folder);

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use egui::{Color32, FontData, FontDefinitions, Frame, Margin, Rect, RichText, Stroke, Ui};
 use lucide_icons::{Icon, LUCIDE_FONT_BYTES};
 
-pub(crate) use self::theme::{TEXT_SIZE, TITLE_SIZE};
 use self::theme::Palette;
+pub(crate) use self::theme::{TEXT_SIZE, TITLE_SIZE};
 
 /// A pane on which text is readable over any picture.
 pub(crate) fn pane(ctx: &egui::Context) -> Frame {

@@ -2,7 +2,9 @@
 //! one of titles, and distances of an 8-point grid.
 
 use egui::style::{ScrollStyle, WidgetVisuals};
-use egui::{Color32, CornerRadius, FontFamily, FontId, Margin, Stroke, Style, TextStyle, Theme, Visuals, vec2};
+use egui::{
+    Color32, CornerRadius, FontFamily, FontId, Margin, Stroke, Style, TextStyle, Theme, Visuals, vec2,
+};
 
 /// The colours of a theme. A test holds their contrast on every background.
 #[derive(Clone, Copy, Debug)]
@@ -62,7 +64,11 @@ const LIGHT: Palette = Palette {
     pane: Color32::from_rgba_premultiplied(234, 235, 237, 242),
     card: Color32::WHITE,
     field: Color32::WHITE,
-    buttons: [Color32::from_rgb(226, 229, 233), Color32::from_rgb(212, 217, 224), Color32::from_rgb(198, 204, 212)],
+    buttons: [
+        Color32::from_rgb(226, 229, 233),
+        Color32::from_rgb(212, 217, 224),
+        Color32::from_rgb(198, 204, 212),
+    ],
     outline: Color32::from_gray(126),
     strong: Color32::from_rgb(66, 128, 200),
     line: Color32::from_rgb(202, 206, 212),
@@ -207,7 +213,9 @@ mod tests {
                 need(format!("{name} on {place:?}"), line, place, 3.0);
             }
         }
-        for (name, look) in [("at rest", widgets.inactive), ("hovered", widgets.hovered), ("pressed", widgets.active)] {
+        for (name, look) in
+            [("at rest", widgets.inactive), ("hovered", widgets.hovered), ("pressed", widgets.active)]
+        {
             need(format!("text of a button {name}"), look.text_color(), look.weak_bg_fill, 4.5);
             need(format!("check mark {name}"), look.fg_stroke.color, look.bg_fill, 3.0);
         }

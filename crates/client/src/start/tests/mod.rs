@@ -595,7 +595,9 @@ fn files_over_the_window_are_announced() {
         let file = egui::HoveredFile { path: Some(path), ..Default::default() };
         stage.window.input_mut().hovered_files = vec![file];
     };
-    for (name, told) in [("film.nrrd", "Open film.nrrd, "), ("noise.bin", "noise.bin: no header that is known")] {
+    for (name, told) in
+        [("film.nrrd", "Open film.nrrd, "), ("noise.bin", "noise.bin: no header that is known")]
+    {
         hover(&mut stage, name);
         until(&mut stage.window, told, |w| w.query_by_label_contains(told).is_some());
     }
