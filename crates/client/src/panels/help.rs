@@ -11,6 +11,9 @@ type Task = (&'static str, Vec<(String, &'static str)>);
 /// Shows the keys in the middle of the window, in as many columns as have room. A low window scrolls. `search` is the
 /// text of the field.
 pub(crate) fn show(ctx: &egui::Context, bindings: &Bindings, open: &mut bool, search: &mut String) {
+    if !*open {
+        search.clear();
+    }
     egui::Window::new("Keys and mouse")
         .id(egui::Id::unique("help"))
         .open(open)
