@@ -239,6 +239,7 @@ mod tests {
             let visuals = ctx.style_of(theme).visuals.clone();
             let found = faults(&visuals, &colors);
             assert_eq!(found, Vec::<String>::new(), "{theme:?}");
+            assert!(!ctx.style_of(theme).spacing.scroll.floating, "a bar over buttons");
             // The controls: egui's own look, and a pane through which the picture is seen.
             let plain = theme.default_visuals();
             assert!(!faults(&plain, &colors).is_empty(), "{theme:?}");
