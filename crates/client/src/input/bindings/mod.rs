@@ -30,6 +30,8 @@ pub enum Action {
     Box,
     /// Switch the clip handles on or off, with a clip box if there is no clip.
     Clip,
+    /// Switch the slices beside the picture on or off.
+    Slices,
     /// Switch between perspective and parallel rays.
     Projection,
     /// Switch axes and scale bar on or off.
@@ -403,6 +405,10 @@ const TABLE: &[Line] = &[
     ),
     keys("perspective or orthographic", &[("projection", Deed::Act(Action::Projection), &["5"])]),
     keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
+    keys("slices beside the picture on or off", &[("slices", Deed::Act(Action::Slices), &["x"])]),
+    fixed("on a slice: click, drag; double click", "move the common point; enlarge"),
+    fixed("on a slice: wheel, PageUp, PageDown, arrows", "the next slice, the one before"),
+    fixed("on a slice: right or Shift+left drag", "window and level"),
     keys("look panel open or folded", &[("look", Deed::Act(Action::LookPanel), &["l"])]),
     keys("full screen", &[("full-screen", Deed::Act(Action::FullScreen), &["F11"])]),
     keys("numbers on or off", &[("numbers", Deed::Act(Action::Numbers), &["o"])]),
