@@ -12,6 +12,7 @@ mod pipeline;
 mod screenshots;
 mod selection;
 mod serving;
+mod slices;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -146,8 +147,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     };
     let coders = pipeline::coders()?;
     let slice_makers = Arc::new(Semaphore::new(slices::MAX_MAKERS));
-    let common =
-        serving::Common { generator, present, load, orders, plan, after_work, coders, slice_makers };
+    let common = serving::Common { generator, present, load, orders, plan, after_work, coders, slice_makers };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
     let serving = tokio::spawn(serving::serve(server, reader, common, receiver, attendance_in, newest_in));

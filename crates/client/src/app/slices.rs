@@ -3,12 +3,12 @@
 use egui::{Panel, Ui};
 use glam::Quat;
 use isinglass_core::ids::ProbeId;
-use isinglass_core::wire::{Probed, ProbedVoxel};
+use isinglass_core::wire::{Probed, ProbedVoxel, VolumeDescription};
 use isinglass_formats::{SavedPlane, SavedSlices};
 
 use super::ViewerApp;
-use crate::input::bindings::Side;
-use crate::paint::slice_outlines;
+use crate::input::bindings::{Action, Side};
+use crate::paint::slice_planes::{self, TexturedSlice};
 use crate::panels::slices::{self, PaneScene, Pointed, STRIP_HEIGHT};
 use crate::panels::style::bar;
 use crate::panels::{probe, value_scale::ValueScale};
@@ -28,7 +28,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let longest = volume.bounds().radius() * 2.0;
         let strip = Panel::bottom("strip of slices").frame(bar(&ctx)).exact_size(STRIP_HEIGHT);
         let (unit, bindings) = (volume.unit.as_deref(), &self.options.bindings);
-        strip.show(ui, |ui| self.slices.show_strip(ui, &scale, unit, longest, bindings));
+        if strip.show(ui, |ui| self.slices.show_strip(ui, &scale, unit, longest, bindings)).inner {
+            self.chosen_actions.push(Action::Slices);
+        }
         let rooms = self.slices.rooms(ui.available_rect_before_wrap());
         self.room = rooms.picture;
         let stacks = self.stacks(volume);
@@ -40,7 +42,7 @@ impl<S: FrameSource> ViewerApp<S> {
             let slice = spec.and_then(|spec| self.viewing.source().talk().slices.get(&spec));
             let has_keys = self.slices.active() == number;
             let (orientation, scale) = (&orientation, &scale);
-            let scene = PaneScene { rect, volume, orientation, scale, slice, world_from_view, has_keys };
+            let scene = PaneScene { rect, orientation, scale, slice, world_from_view, has_keys };
             if let Some(pointed) = self.slices.show_pane(ui, number, &stacks, &scene) {
                 let Pointed { point, value } = pointed;
                 let voxel = probe::voxel_at(point, volume);
@@ -61,7 +63,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    fn stacks(&self, volume: &isinglass_core::wire::VolumeDescription) -> [Stack; 3] {
+    pub(super) fn stacks(&self, volume: &VolumeDescription) -> [Stack; 3] {
         let orientation = self.orientation();
         self.slices.choices().map(|choice| Stack::new(choice, &orientation, volume))
     }
@@ -80,11 +82,17 @@ impl<S: FrameSource> ViewerApp<S> {
             return;
         };
         let stacks = self.stacks(&description.volume);
+        let pen = self.aids.pen(ui.painter());
+        let pictures =
+            self.slices.pictures().filter(|_| self.slices.is_in_picture).map(|(number, texture, grid)| {
+                let stack = &stacks[number];
+                TexturedSlice { corners: stack.outline(grid.origin), normal: stack.towards, grid, texture }
+            });
+        slice_planes::paint_textured(&pen, rect, &refresh.camera, pictures.collect());
         for (stack, color) in stacks.iter().zip(slices::COLORS) {
             let point = stack.moved(self.slices.point, stack.index_of(self.slices.point));
             let corners = stack.outline(point);
-            let pen = self.aids.pen(ui.painter());
-            slice_outlines::paint(&pen, rect, &refresh.camera, &refresh.bounds, &corners, color);
+            slice_planes::paint_outline(&pen, rect, &refresh.camera, &refresh.bounds, &corners, color);
         }
     }
 
@@ -102,12 +110,14 @@ impl<S: FrameSource> ViewerApp<S> {
             mode: self.slices.slab.mode,
             window: self.slices.window.map(|(lo, hi)| [lo, hi]),
             planes,
+            in_picture: self.slices.is_in_picture,
             large: self.slices.large().map(|pane| pane as u8 + 1),
         }
     }
 
     pub(super) fn restore_slices(&mut self, saved: &SavedSlices) {
         self.slices.set_on(saved.shown);
+        self.slices.is_in_picture = saved.in_picture;
         self.slices.point = saved.point.into();
         self.slices.slab = Slab { thickness: saved.thickness, mode: saved.mode };
         self.slices.window = saved.window.map(|[lo, hi]| (lo, hi));

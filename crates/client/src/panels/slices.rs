@@ -5,7 +5,7 @@ mod texture;
 
 use egui::{Rect, Ui, Vec2, vec2};
 use glam::Vec3;
-use isinglass_core::volume::{SlabMode, SliceSpec};
+use isinglass_core::volume::{SlabMode, SliceGrid, SliceSpec};
 use lucide_icons::Icon;
 
 use super::controls::field;
@@ -24,6 +24,8 @@ pub(crate) struct SlicePanes {
     /// The point that all panes show, world space.
     pub(crate) point: Vec3,
     pub(crate) slab: Slab,
+    /// Whether the slices themselves are drawn into the picture, or their outlines only.
+    pub(crate) is_in_picture: bool,
     /// The values shown black and white; none: chosen by the histogram.
     pub(crate) window: Option<(f32, f32)>,
     panes: [pane::Pane; 3],
@@ -86,9 +88,8 @@ impl SlicePanes {
     pub(crate) fn rooms(&self, room: Rect) -> Rooms {
         let part = |x0: f32, y0: f32, x1: f32, y1: f32| {
             let at = |x: f32, y: f32| room.min + vec2(x, y) * room.size();
-            let (x0, y0) = (x0 + if x0 > 0.0 { GAP / room.width() } else { 0.0 }, y0);
-            let y0 = y0 + if y0 > 0.0 { GAP / room.height() } else { 0.0 };
-            Rect::from_min_max(at(x0, y0).round(), at(x1, y1).round())
+            let gap = |x: f32| if x > 0.0 { GAP } else { 0.0 };
+            Rect::from_min_max((at(x0, y0) + vec2(gap(x0), gap(y0))).round(), at(x1, y1).round())
         };
         match self.large {
             None => Rooms {
@@ -96,7 +97,8 @@ impl SlicePanes {
                 panes: [part(0.5, 0.0, 1.0, 0.5), part(0.0, 0.5, 0.5, 1.0), part(0.5, 0.5, 1.0, 1.0)],
             },
             Some(large) => {
-                let mut panes = [part(LARGE, 1.0 / 3.0, 1.0, 2.0 / 3.0), part(LARGE, 2.0 / 3.0, 1.0, 1.0)].into_iter();
+                let mut panes =
+                    [part(LARGE, 1.0 / 3.0, 1.0, 2.0 / 3.0), part(LARGE, 2.0 / 3.0, 1.0, 1.0)].into_iter();
                 let whole = part(0.0, 0.0, LARGE, 1.0);
                 let panes = std::array::from_fn(|i| match i == large {
                     true => whole,
@@ -135,7 +137,7 @@ impl SlicePanes {
         }
     }
 
-    /// Shows the strip of the slab and the window.
+    /// Shows the strip of the slab and the window. Returns whether to close the panes.
     pub(crate) fn show_strip(
         &mut self,
         ui: &mut Ui,
@@ -143,9 +145,10 @@ impl SlicePanes {
         unit: Option<&str>,
         longest: f32,
         bindings: &Bindings,
-    ) {
+    ) -> bool {
         let suffix = unit.map_or(String::new(), |unit| format!(" {unit}"));
         let width = ui.available_width();
+        let mut is_closed = false;
         ui.horizontal_centered(|ui| {
             let label = ui.label("slab").on_hover_text("thickness of what a slice shows; 0 is one voxel");
             let thickness = &mut self.slab.thickness;
@@ -159,6 +162,8 @@ impl SlicePanes {
                     self.slab.mode = mode;
                 }
             }
+            ui.checkbox(&mut self.is_in_picture, "in the picture")
+                .on_hover_text("draw the slices into the picture of the volume, too");
             if width >= WIDTH_WITH_WINDOW {
                 ui.separator();
                 let (lo, hi) = self.window_of(scale);
@@ -180,11 +185,11 @@ impl SlicePanes {
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 let close = ui.add(egui::Button::new(icon(Icon::X)).frame_when_inactive(false));
                 named(&close, egui::Role::Button, "close the slices");
-                if close.on_hover_text(bindings.with_key("close the slices", Action::Slices)).clicked() {
-                    self.is_on = false;
-                }
+                let hint = bindings.with_key("close the slices", Action::Slices);
+                is_closed = close.on_hover_text(hint).clicked();
             });
         });
+        is_closed
     }
 
     /// Sets level and window. The window is never empty.
@@ -226,11 +231,19 @@ impl SlicePanes {
         if let Some(choice) = input.choice {
             self.panes[number].choose(choice);
         }
-        if input != pane::PaneInput::default() {
+        if (pane::PaneInput { is_active: false, ..input }) != pane::PaneInput::default() {
             // What lies beside this pane is drawn already.
             ui.ctx().request_repaint();
         }
         pane::pointed(&self.panes[number], stacks, number, scene.rect, ui)
+    }
+
+    /// The pictures of the panes' slices, with the numbers of their panes and where they lie.
+    pub(crate) fn pictures(&self) -> impl Iterator<Item = (usize, egui::TextureId, SliceGrid)> {
+        self.panes
+            .iter()
+            .enumerate()
+            .filter_map(|(i, pane)| pane.picture().map(|(texture, grid)| (i, texture, grid)))
     }
 
     /// The pane that keys page while no pane has the keyboard.

@@ -231,7 +231,10 @@ mod tests {
     fn slices_are_numbered_by_voxels_and_points_move_to_their_middles() {
         let s = stack(PlaneChoice::Standard(Side::Front), None);
         assert_eq!(s.range(), 0..=29);
-        assert_eq!([-100.0, -30.0, -27.9, 0.1, 29.9, 99.0].map(|z| s.index_of(Vec3::Z * z)), [0, 0, 1, 15, 29, 29]);
+        assert_eq!(
+            [-100.0, -30.0, -27.9, 0.1, 29.9, 99.0].map(|z| s.index_of(Vec3::Z * z)),
+            [0, 0, 1, 15, 29, 29]
+        );
         assert_eq!(s.moved(Vec3::new(1.0, 2.0, 0.0), 0), Vec3::new(1.0, 2.0, -29.0));
         for index in s.range() {
             assert_eq!(s.index_of(s.moved(Vec3::ONE, index)), index);

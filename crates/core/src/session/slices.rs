@@ -109,8 +109,7 @@ impl SlicesClient {
 
     /// The stream of a slice has ended. One of another size than requested is not kept.
     pub fn handle_slice(&mut self, id: SliceId, slice: Slice) {
-        let (Some(at), Some((_, volume))) =
-            (self.wanted.iter().position(|w| w.id == id), &self.volume)
+        let (Some(at), Some((_, volume))) = (self.wanted.iter().position(|w| w.id == id), &self.volume)
         else {
             return;
         };

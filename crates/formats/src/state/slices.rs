@@ -20,6 +20,8 @@ pub struct SavedSlices {
     pub window: Option<[f32; 2]>,
     /// The planes of the panes.
     pub planes: [SavedPlane; 3],
+    /// Whether the slices themselves are drawn into the picture, or their outlines only.
+    pub in_picture: bool,
     /// The pane that takes most of the room, from 1.
     pub large: Option<u8>,
 }
@@ -47,6 +49,7 @@ impl Default for SavedSlices {
             mode: SlabMode::default(),
             window: None,
             planes: [SavedPlane::Top, SavedPlane::Front, SavedPlane::Right],
+            in_picture: false,
             large: None,
         }
     }

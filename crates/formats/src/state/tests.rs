@@ -1,7 +1,7 @@
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
-use isinglass_core::volume::SlabMode;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::SlabMode;
 
 use super::*;
 use crate::dtype::{Dtype, Endian};
@@ -34,6 +34,7 @@ fn slices(seed: u32) -> SavedSlices {
         mode: SlabMode::Max,
         window: seed.is_multiple_of(3).then(|| [-1000.0, odd(seed)]),
         planes: [SavedPlane::Right, SavedPlane::Oblique(turned.to_array()), SavedPlane::Top],
+        in_picture: seed.is_multiple_of(3),
         large: (seed % 5 == 1).then_some(2),
     }
 }

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use egui::{Align2, Color32, FontId, Key, Mesh, PointerButton, Pos2, Rect, Role, Sense, Stroke, Ui, pos2, vec2};
+use egui::{
+    Align2, Color32, FontId, Key, Mesh, PointerButton, Pos2, Rect, Role, Sense, Stroke, Ui, pos2, vec2,
+};
 use glam::Vec3;
 use isinglass_core::volume::{Slice, SliceGrid};
-use isinglass_core::wire::VolumeDescription;
 
 use super::on_screen;
 use super::texture::SliceTexture;
@@ -32,7 +33,6 @@ pub(crate) struct Pane {
 /// What a pane is shown with.
 pub(crate) struct PaneScene<'a> {
     pub(crate) rect: Rect,
-    pub(crate) volume: &'a VolumeDescription,
     pub(crate) orientation: &'a Orientation,
     pub(crate) scale: &'a ValueScale,
     /// The slice at the point, once it is there.
@@ -99,6 +99,12 @@ impl Pane {
         self.choice = Some(choice);
     }
 
+    /// The picture of the slice that is shown, and where it lies.
+    pub(super) fn picture(&self) -> Option<(egui::TextureId, SliceGrid)> {
+        let (_, grid, _) = self.shown.as_ref()?;
+        Some((self.texture.id()?, *grid))
+    }
+
     pub(super) fn direction(&self) -> i32 {
         if self.direction < 0 { -1 } else { 1 }
     }
@@ -124,7 +130,7 @@ impl Pane {
             let (dims, spacing) = stack.voxels();
             self.shown = Some((slice.clone(), spec.grid(dims, spacing), *stack));
         }
-        self.shown.take_if(|(_, _, of)| of != stack);
+        self.shown.take_if(|(_, _, of)| &*of != stack);
         let place = Place::new(rect, stack);
         if let Some((slice, grid, _)) = &self.shown
             && let Some(texture) = self.texture.of(ui.ctx(), &format!("slice {number}"), slice, window)
@@ -140,7 +146,7 @@ impl Pane {
         draw_letters(ui, stack, scene.orientation, rect);
         let is_late = scene.slice.is_none();
         let told = if is_late { format!("{told} …") } else { told };
-        write(ui, rect.right_top() + vec2(-8.0, 8.0), Align2::RIGHT_TOP, &told);
+        write(ui.painter(), rect.right_top() + vec2(-8.0, 8.0), Align2::RIGHT_TOP, &told);
         let choice = self.show_menu(ui, number, scene, name);
         PaneInput { choice, ..input }
     }
@@ -162,7 +168,8 @@ impl Pane {
         named(&response, Role::Image, name);
         let shift = ui.input(|i| i.modifiers.shift);
         let is_over = response.contains_pointer();
-        let is_down = |button| response.is_pointer_button_down_on() && ui.input(|i| i.pointer.button_down(button));
+        let is_down =
+            |button| response.is_pointer_button_down_on() && ui.input(|i| i.pointer.button_down(button));
         let at = response.interact_pointer_pos();
         let drags_window = is_down(PointerButton::Secondary) || (is_down(PointerButton::Primary) && shift);
         if drags_window {
@@ -197,9 +204,9 @@ impl Pane {
             input.pages += pressed(Key::ArrowUp) + pressed(Key::ArrowRight);
             input.pages -= pressed(Key::ArrowDown) + pressed(Key::ArrowLeft);
         }
-        let no_pane_has_focus = ui.memory(|m| m.focused()).is_none_or(|focused| {
-            (0..3).all(|pane| focused != egui::Id::unique("slice pane").with(pane))
-        });
+        let no_pane_has_focus = ui
+            .memory(|m| m.focused())
+            .is_none_or(|focused| (0..3).all(|pane| focused != egui::Id::unique("slice pane").with(pane)));
         let has_keys = response.has_focus() || (no_pane_has_focus && scene.has_keys);
         if has_keys && !ui.ctx().text_edit_focused() {
             let pressed = |key| ui.input(|i| i.num_presses(key)) as i32;
@@ -244,7 +251,13 @@ impl Pane {
 }
 
 /// The point and the value under the pointer.
-pub(super) fn pointed(pane: &Pane, stacks: &[Stack; 3], number: usize, rect: Rect, ui: &Ui) -> Option<Pointed> {
+pub(super) fn pointed(
+    pane: &Pane,
+    stacks: &[Stack; 3],
+    number: usize,
+    rect: Rect,
+    ui: &Ui,
+) -> Option<Pointed> {
     let id = egui::Id::unique("slice pane").with(number);
     let is_over = ui.ctx().read_response(id).is_some_and(|response| response.contains_pointer());
     let at = ui.ctx().pointer_latest_pos().filter(|at| is_over && rect.contains(*at))?;
@@ -252,7 +265,8 @@ pub(super) fn pointed(pane: &Pane, stacks: &[Stack; 3], number: usize, rect: Rec
     let stack = &stacks[number];
     let point = Place::new(rect, stack).world(stack, grid.origin, at);
     let [column, row] = grid.place(point);
-    let inside = |x: f32, size: u32| (-0.5..size as f32 - 0.5).contains(&x).then(|| x.round().max(0.0) as u32);
+    let inside =
+        |x: f32, size: u32| (-0.5..size as f32 - 0.5).contains(&x).then(|| x.round().max(0.0) as u32);
     let (column, row) = (inside(column, slice.size[0])?, inside(row, slice.size[1])?);
     let is_in_volume = clamped(stack, point).distance(point) <= stack.voxels().1.min_element() * 1e-2;
     is_in_volume.then(|| Pointed { point, value: slice.value(column, row) })
@@ -310,25 +324,25 @@ fn draw_letters(ui: &Ui, stack: &Stack, orientation: &Orientation, rect: Rect) {
         (stack.down, edge.center_bottom(), Align2::CENTER_BOTTOM),
     ] {
         if let Some(letter) = orientation.letter_towards(direction) {
-            write(ui, at, align, &letter.to_string());
+            write(ui.painter(), at, align, &letter.to_string());
         }
     }
 }
 
 /// Writes words that stand out from any grey.
-fn write(ui: &Ui, at: Pos2, align: Align2, text: &str) {
+fn write(painter: &egui::Painter, at: Pos2, align: Align2, text: &str) {
     let font = FontId::proportional(12.0);
     for shift in [vec2(-1.0, 0.0), vec2(1.0, 0.0), vec2(0.0, -1.0), vec2(0.0, 1.0)] {
-        ui.painter().text(at + shift, align, text, font.clone(), Color32::from_black_alpha(190));
+        painter.text(at + shift, align, text, font.clone(), Color32::from_black_alpha(190));
     }
-    ui.painter().text(at, align, text, font, Color32::from_gray(225));
+    painter.text(at, align, text, font, Color32::from_gray(225));
 }
 
 /// Shows lines about what lies under the pointer.
 pub(crate) fn show_pointed(ui: &Ui, rect: Rect, lines: &[String]) {
     for (i, line) in lines.iter().rev().enumerate() {
         let at = rect.left_bottom() + vec2(8.0, -8.0 - 15.0 * i as f32);
-        write(&ui.new_child(egui::UiBuilder::new().max_rect(rect)), at, Align2::LEFT_BOTTOM, line);
+        write(&ui.painter().with_clip_rect(rect), at, Align2::LEFT_BOTTOM, line);
     }
 }
 

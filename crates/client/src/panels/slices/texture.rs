@@ -29,6 +29,11 @@ impl SliceTexture {
             }
             self.of = Some((slice.clone(), window));
         }
+        self.id()
+    }
+
+    /// The newest texture.
+    pub(super) fn id(&self) -> Option<egui::TextureId> {
         self.texture.as_ref().map(TextureHandle::id)
     }
 }
