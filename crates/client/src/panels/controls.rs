@@ -47,7 +47,7 @@ pub(crate) fn whole<'a, N: Numeric>(ui: &Ui, value: &'a mut N, range: RangeInclu
 /// A line of a grid: a name, and the control that screen readers call by it.
 pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> Response) {
     let label = ui.label(name).on_hover_text(hint);
-    control(ui).labelled_by(label.id);
+    control(ui).labelled_by(label.id).on_hover_text(hint);
     ui.end_row();
 }
 

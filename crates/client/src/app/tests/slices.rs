@@ -16,12 +16,14 @@ fn slices_on(size: [f32; 2]) -> Harness<'static, ViewerApp<HereSource>> {
 
 /// The panes, by their names.
 fn pane(w: &Harness<'_, ViewerApp<HereSource>>, name: &str) -> egui::Rect {
-    w.get_by_label_contains(&format!("{name}, slice ")).rect()
+    let name = format!("{name}, slice ");
+    w.get_by_label_contains(&name).rect()
 }
 
 /// The number that a pane tells.
 fn number(w: &Harness<'_, ViewerApp<HereSource>>, name: &str) -> usize {
-    let node = w.get_by_label_contains(&format!("{name}, slice "));
+    let name = format!("{name}, slice ");
+    let node = w.get_by_label_contains(&name);
     let label = node.accesskit_node().label().unwrap_or_default();
     label.split_whitespace().rev().nth(2).and_then(|n| n.parse().ok()).expect("slice N of M")
 }
