@@ -49,6 +49,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
                 Action::Box => self.aids.shows_box = !self.aids.shows_box,
                 Action::Clip => self.toggle_clip(now),
+                Action::Slices => self.toggle_slices(),
                 Action::Projection => self.is_orthographic = !self.is_orthographic,
                 Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
                 Action::Stereo => self.stereo.mode = stereo::next(self.stereo.mode),

@@ -26,6 +26,7 @@ impl<S: FrameSource> ViewerApp<S> {
             self.show_look_panel(ui, now);
         }
         self.room = ui.available_rect_before_wrap();
+        self.show_slices(ui);
     }
 
     /// What the toolbar and the menu of the picture show.
@@ -38,6 +39,7 @@ impl<S: FrameSource> ViewerApp<S> {
             has_probe: self.probe.is_on(),
             shows_axes: self.aids.shows_axes,
             shows_box: self.aids.shows_box,
+            shows_slices: self.slices.is_on(),
             is_look_open: self.is_look_open,
             opens_volumes: self.opens_volumes,
         }

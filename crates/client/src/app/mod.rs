@@ -11,6 +11,7 @@ mod refresh;
 pub(crate) mod script;
 mod sections;
 pub(crate) mod side_panel;
+mod slices;
 mod state;
 mod state_part;
 
@@ -42,6 +43,7 @@ use crate::panels::hints::Hints;
 use crate::panels::parts_bar::PartsBar;
 use crate::panels::probe::ValueProbe;
 use crate::panels::screenshots::Screenshots;
+use crate::panels::slices::SlicePanes;
 use crate::panels::state_files::StateFiles;
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
@@ -130,6 +132,7 @@ pub(crate) struct ViewerApp<S> {
     probe: ValueProbe,
     screenshots: Screenshots,
     gallery: Gallery,
+    slices: SlicePanes,
     wants_picture: bool,
     title: String,
     notice: Option<(String, Duration)>,
@@ -193,6 +196,7 @@ impl<S: FrameSource> ViewerApp<S> {
             probe: ValueProbe::default(),
             screenshots: Screenshots::default(),
             gallery: Gallery::default(),
+            slices: SlicePanes::default(),
             wants_picture: false,
             title: String::new(),
             notice: None,
@@ -215,6 +219,7 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
         self.gallery = Gallery::default();
+        self.slices.forget();
         (self.coming, self.wish) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
         (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);

@@ -87,6 +87,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 false => controls.set_center(point),
             }
         {
+            self.slices.point = point;
             self.center_chosen_at = Some(now);
         }
     }
@@ -110,6 +111,7 @@ impl<S: FrameSource> ViewerApp<S> {
             shows_center: self.marks_center(now),
             lift: self.parts_bar.height_over(view_aids::CORNER.x),
         };
+        self.paint_planes(ui, rect, refresh);
         self.aids.paint(ui.painter(), &scene);
         let view = clip_editor::ClipView { rect, camera: refresh.camera, bounds: refresh.bounds };
         self.clip_editor.paint(&self.aids.pen(ui.painter()), &view, &refresh.clip);

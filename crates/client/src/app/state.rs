@@ -127,6 +127,7 @@ impl<S: FrameSource> ViewerApp<S> {
             orthographic: Some(self.is_orthographic),
             eye_angle_degrees: Some(self.stereo.eye_angle_degrees),
             frame_scale: Some(self.viewing.frame_size.scale),
+            slices: Some(self.saved_slices()),
         };
         Some(SavedState {
             volume: Some(volume),
@@ -162,6 +163,9 @@ impl<S: FrameSource> ViewerApp<S> {
         self.stereo.mode = view.stereo.unwrap_or(self.stereo.mode);
         self.stereo.eye_angle_degrees = view.eye_angle_degrees.unwrap_or(self.stereo.eye_angle_degrees);
         self.viewing.frame_size.scale = view.frame_scale.unwrap_or(self.viewing.frame_size.scale);
+        if let Some(slices) = &view.slices {
+            self.restore_slices(slices);
+        }
         if let Some(camera) = &state.camera {
             self.options.fov_y = camera.fov_y();
             let picture = self.stereo().eye_intrinsics(window.with_fov_y(camera.fov_y()));

@@ -49,6 +49,18 @@ impl Orientation {
         self.world_from_upright
     }
 
+    /// Whether the volume names the sides of a body.
+    pub(crate) fn is_body(&self) -> bool {
+        self.letters[0].1.is_some()
+    }
+
+    /// The letter of the side that a direction of world space points to; none if the volume has no name for it.
+    pub(crate) fn letter_towards(&self, direction: Vec3) -> Option<char> {
+        let axis = (0..3).max_by(|&a, &b| direction[a].abs().total_cmp(&direction[b].abs()))?;
+        let (positive, negative) = self.letters[axis];
+        if direction[axis] >= 0.0 { Some(positive) } else { negative }
+    }
+
     /// Towards the top of the volume.
     pub(crate) fn up(&self) -> Vec3 {
         self.world_from_upright * Vec3::Y

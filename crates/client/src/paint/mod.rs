@@ -6,5 +6,6 @@ pub(crate) mod gpu_timer;
 pub(crate) mod novel_view;
 pub(crate) mod picture;
 pub(crate) mod picture_cache;
+pub(crate) mod slice_planes;
 pub(crate) mod stereo;
 pub(crate) mod view_aids;

@@ -19,6 +19,7 @@ pub(crate) mod part_pickers;
 pub(crate) mod parts_bar;
 pub(crate) mod probe;
 pub(crate) mod screenshots;
+pub(crate) mod slices;
 pub(crate) mod state_files;
 pub(crate) mod status;
 pub(crate) mod style;

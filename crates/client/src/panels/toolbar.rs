@@ -18,6 +18,7 @@ pub(crate) struct Toolbar<'a> {
     pub(crate) has_probe: bool,
     pub(crate) shows_axes: bool,
     pub(crate) shows_box: bool,
+    pub(crate) shows_slices: bool,
     pub(crate) is_look_open: bool,
     /// Whether this window can open other volumes and servers.
     pub(crate) opens_volumes: bool,
@@ -47,6 +48,7 @@ impl Toolbar<'_> {
             ui.separator();
             self.modes(ui, has_words, &mut wish);
             for (symbol, name, action, is_on) in [
+                (Icon::Grid2x2, "slices", Action::Slices, self.shows_slices),
                 (Icon::Crop, "clip", Action::Clip, self.has_clip_handles),
                 (Icon::Pipette, "probe values", Action::Probe, self.has_probe),
                 (Icon::Box, "box", Action::Box, self.shows_box),
@@ -79,6 +81,7 @@ impl Toolbar<'_> {
         ui.menu_button("View from", |ui| self.sides(ui, &mut wish));
         ui.separator();
         for (name, action) in [
+            ("Slices", Action::Slices),
             ("Clip", Action::Clip),
             ("Probe values", Action::Probe),
             ("Save a picture", Action::Picture),

@@ -6,6 +6,7 @@ use super::pose::PoseClient;
 use super::probe::ProbeClient;
 use super::screenshot::ScreenshotClient;
 use super::selection::SelectionClient;
+use super::slices::SlicesClient;
 use crate::ids::LookVersion;
 use crate::wire::{ClientMessage, Refusal, ServerMessage, Welcome};
 
@@ -26,6 +27,8 @@ pub struct ClientSession {
     pub probe: ProbeClient,
     /// A picture to keep.
     pub screenshot: ScreenshotClient,
+    /// Slices through the volume.
+    pub slices: SlicesClient,
     /// The connection.
     pub link: LinkClient,
     is_up: bool,
@@ -44,11 +47,13 @@ impl ClientSession {
     /// A connection is up.
     pub fn handle_welcome(&mut self, now_micros: u64, welcome: Welcome) {
         let (version, look) = (welcome.look_version, welcome.look.clone());
+        let volume = welcome.volume.clone();
         let is_other_file = self.link.handle_welcome(welcome);
         self.look.handle_welcome(now_micros, version, look, is_other_file);
         self.selection.handle_welcome(self.link.connection() == 1);
         self.probe.handle_welcome();
         self.screenshot.handle_welcome();
+        self.slices.handle_welcome(&volume, version);
         self.pose.handle_welcome();
         self.is_up = true;
     }
@@ -73,6 +78,7 @@ impl ClientSession {
         self.selection.handle_message(&message);
         self.probe.handle_message(&message);
         self.screenshot.handle_message(&message);
+        self.slices.handle_message(&message);
         Ok(())
     }
 
@@ -93,13 +99,15 @@ impl ClientSession {
         // The server renders a screenshot with its current look, so a pending look goes first.
         let is_ready = !self.look.is_waiting();
         let shot = if is_ready { self.screenshot.poll_message(now_micros) } else { None };
-        shot.or_else(|| self.probe.poll_message(now_micros)).or_else(|| self.link.poll_message(now_micros))
+        shot.or_else(|| self.slices.poll_message(now_micros))
+            .or_else(|| self.probe.poll_message(now_micros))
+            .or_else(|| self.link.poll_message(now_micros))
     }
 
     /// When to poll messages again if nothing happens, µs.
     pub fn due(&self) -> Option<u64> {
         let screenshot = self.screenshot.due().filter(|_| !self.look.is_waiting());
-        let dues = [self.look.due(), screenshot, self.probe.due(), self.link.due()];
+        let dues = [self.look.due(), screenshot, self.slices.due(), self.probe.due(), self.link.due()];
         dues.into_iter().flatten().filter(|_| self.is_up).min()
     }
 }

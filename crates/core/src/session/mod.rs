@@ -9,7 +9,7 @@
 //! - [`pose`]: the camera of the frames; [`look`]: their look; [`selection`]: the part of the file that they show.
 //! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they begin; [`chunks`]: what
 //!   is sent, given up and decoded.
-//! - [`probe`], [`screenshot`]: the value at a point, and a picture to keep.
+//! - [`probe`], [`screenshot`], [`slices`]: the value at a point, a picture to keep, and slices through the volume.
 //! - [`ledger`]: the life of every frame, on either side.
 //! - [`pace`]: the newest of many values, at a bounded rate.
 //! - `pair`: both sides joined by a simulated link, for tests.
@@ -33,6 +33,7 @@ pub mod schedule;
 pub mod screenshot;
 pub mod selection;
 pub mod server;
+pub mod slices;
 
 pub use client::ClientSession;
 pub use server::ServerSession;

@@ -8,6 +8,7 @@ use super::pose::PoseServer;
 use super::probe::ProbeServer;
 use super::screenshot::ScreenshotServer;
 use super::selection::SelectionServer;
+use super::slices::SlicesServer;
 use crate::ids::LookVersion;
 use crate::look::Look;
 use crate::wire::control::{self, ControlError, one_line};
@@ -31,6 +32,8 @@ pub struct ServerSession {
     pub probe: ProbeServer,
     /// A picture to keep.
     pub screenshot: ScreenshotServer,
+    /// Slices through the volume.
+    pub slices: SlicesServer,
     /// The connection.
     pub link: LinkServer,
 }
@@ -56,6 +59,7 @@ impl ServerSession {
             selection: SelectionServer::new(viewer),
             probe: ProbeServer::default(),
             screenshot: ScreenshotServer::default(),
+            slices: SlicesServer::new(version),
             link: LinkServer::new(now_micros),
         }
     }
@@ -90,6 +94,7 @@ impl ServerSession {
         self.selection.handle_message(&message);
         self.probe.handle_message(&message);
         self.screenshot.handle_message(&message);
+        self.slices.handle_message(&message);
         Ok(Heard::Taken)
     }
 

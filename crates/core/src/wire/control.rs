@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, ScreenshotRequest,
-    Token,
+    Token, WantedSlices,
 };
 use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
@@ -49,6 +49,8 @@ pub enum ClientMessage {
     TakeScreenshot(ScreenshotRequest),
     /// The requested picture is no longer wanted.
     CancelScreenshot,
+    /// All slices that are wanted now.
+    WantSlices(WantedSlices),
 }
 
 /// A message of the server. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
@@ -254,6 +256,7 @@ impl Message for ClientMessage {
             Self::Select(part) => part.validate(),
             Self::Stats(_) | Self::Bye | Self::CancelSelection | Self::CancelScreenshot => Ok(()),
             Self::Probe(probe) => probe.validate(),
+            Self::WantSlices(list) => list.validate(),
             Self::TakeScreenshot(shot) => {
                 shot.view()?;
                 Ok(shot.look.as_deref().map_or(Ok(()), Look::validate)?)

@@ -24,6 +24,7 @@
 //! same volume gives the same picture. Unknown keys, such as those of a newer program, are ignored and reported.
 
 mod link;
+mod slices;
 mod text;
 
 use std::fmt;
@@ -44,6 +45,7 @@ use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
 
 pub use link::{MAX_LINK_BYTES, state_from_link, state_to_link};
+pub use slices::{SavedPlane, SavedSlices};
 
 /// The camera, look and view of a volume. A missing part stays unchanged.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -290,6 +292,8 @@ pub struct SavedView {
     pub eye_angle_degrees: Option<f32>,
     /// Size of the server's frames, relative to the picture.
     pub frame_scale: Option<f32>,
+    /// The slices beside the picture.
+    pub slices: Option<SavedSlices>,
 }
 
 impl SavedView {
@@ -300,6 +304,7 @@ impl SavedView {
         };
         in_range("eye_angle_degrees", self.eye_angle_degrees, 0.0, 90.0)
             .or_else(|| in_range("frame_scale", self.frame_scale, 0.01, 1.0))
+            .or_else(|| self.slices.as_ref().and_then(SavedSlices::problem))
     }
 }
 

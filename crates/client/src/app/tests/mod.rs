@@ -8,6 +8,7 @@ use egui::{Event, Key, Modifiers, PointerButton, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use isinglass_core::camera::{Camera, Pose};
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
@@ -16,6 +17,7 @@ use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
+use isinglass_core::volume::Slice;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{ClientMessage, ScreenshotRequest, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
@@ -50,6 +52,7 @@ struct Here {
     num_probes: usize,
     num_shots: u32,
     num_cancelled: usize,
+    num_slice_lists: usize,
     state: State,
     stats: LinkStats,
 }
@@ -72,6 +75,7 @@ impl HereSource {
             num_probes: 0,
             num_shots: 0,
             num_cancelled: 0,
+            num_slice_lists: 0,
             state: State::Connected,
             stats: LinkStats::default(),
         };
@@ -105,6 +109,13 @@ impl HereSource {
                     }
                 }
                 ClientMessage::CancelScreenshot => here.num_cancelled += 1,
+                ClientMessage::WantSlices(list) => {
+                    here.num_slice_lists += 1;
+                    for wanted in list.slices.iter().filter(|_| !here.sleeps) {
+                        let slice = Slice::of(&here.scene.volume, &wanted.spec, ALWAYS).unwrap();
+                        session.slices.handle_slice(wanted.id, slice);
+                    }
+                }
                 _ => {}
             }
         }
@@ -512,4 +523,5 @@ mod access;
 mod clip;
 mod narrow;
 mod offline;
+mod slices;
 mod states;

@@ -30,6 +30,8 @@ pub enum Action {
     Box,
     /// Switch the clip handles on or off, with a clip box if there is no clip.
     Clip,
+    /// Switch the slices beside the picture on or off.
+    Slices,
     /// Switch between perspective and parallel rays.
     Projection,
     /// Switch axes and scale bar on or off.
@@ -450,6 +452,11 @@ const TABLE: &[Line] = &[
     task("Measure, cut, watch"),
     keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
     keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
+    keys("slices beside the picture on or off", &[("slices", Deed::Act(Action::Slices), &["x"])]),
+    fixed("on a slice: click, drag", "move the common point"),
+    fixed("on a slice: wheel, PageUp, PageDown", "the next slice, the one before"),
+    fixed("on a slice: right or Shift+left drag", "window and level"),
+    fixed("on a slice: double click", "larger, and back"),
     keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
     keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
     keys(
