@@ -13,6 +13,7 @@ pub(crate) mod first_page;
 pub(crate) mod gallery;
 pub(crate) mod help;
 pub(crate) mod light;
+pub(crate) mod measure;
 pub(crate) mod part_pickers;
 pub(crate) mod parts_bar;
 pub(crate) mod probe;

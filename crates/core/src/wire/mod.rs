@@ -11,6 +11,7 @@
 pub mod control;
 mod pose;
 mod probe;
+mod profile;
 pub mod screenshot;
 mod selection;
 mod token;
@@ -23,13 +24,14 @@ pub use control::{
 };
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
+pub use profile::{MAX_PROFILE_POINTS, Profile, ProfileRequest};
 pub use screenshot::ScreenshotRequest;
 pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use token::{Token, TokenError};
 
 /// Version of the protocol on a connection.
-pub const PROTOCOL_VERSION: u32 = 12;
+pub const PROTOCOL_VERSION: u32 = 13;
 /// Protocol name in the TLS handshake: peers of another version get no further.
-pub const ALPN: &[u8] = b"isinglass/12";
+pub const ALPN: &[u8] = b"isinglass/13";
 /// Length of the longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

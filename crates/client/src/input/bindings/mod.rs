@@ -20,6 +20,14 @@ pub enum Action {
     FirstView,
     /// Show a standard view, from the front, the right or the top, or from the opposite side.
     StandardView(Side, Opposite),
+    /// Show three sides alike.
+    Isometric,
+    /// Bring all of the volume into the picture.
+    Fit,
+    /// Return to the view before the newest movement.
+    PreviousView,
+    /// Return from there.
+    NextView,
     /// Move the camera by a step.
     Step(Step),
     /// Switch the numbers on or off.
@@ -38,6 +46,8 @@ pub enum Action {
     Stereo,
     /// Switch the probe on or off.
     Probe,
+    /// Switch measuring on or off.
+    Measure,
     /// Save a picture of the view.
     Picture,
     /// Open the dialog for a picture of another size, or for a turntable.
@@ -71,7 +81,7 @@ pub enum Action {
 impl Action {
     /// Whether the key repeats while it is held down.
     fn repeats(self) -> bool {
-        matches!(self, Self::Undo | Self::Redo | Self::Step(_))
+        matches!(self, Self::Undo | Self::Redo | Self::PreviousView | Self::NextView | Self::Step(_))
     }
 }
 
@@ -374,6 +384,15 @@ const TABLE: &[Line] = &[
             ("bottom", view(Side::Top, true), &["shift+7"]),
         ],
     ),
+    keys("isometric view", &[("isometric", Deed::Act(Action::Isometric), &["0"])]),
+    keys("fit the volume into the picture", &[("fit", Deed::Act(Action::Fit), &["f"])]),
+    keys(
+        "the view before, the view after",
+        &[
+            ("previous-view", Deed::Act(Action::PreviousView), &["alt+left"]),
+            ("next-view", Deed::Act(Action::NextView), &["alt+right"]),
+        ],
+    ),
     keys(
         "turn the volume by a step",
         &[
@@ -410,6 +429,7 @@ const TABLE: &[Line] = &[
     keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
     keys("stereo: side by side, red-cyan, off", &[("stereo", Deed::Act(Action::Stereo), &["s"])]),
     keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
+    keys("measure distances, angles, paths and values", &[("measure", Deed::Act(Action::Measure), &["d"])]),
     keys("save a picture of the view", &[("picture", Deed::Act(Action::Picture), &["F12"])]),
     keys(
         "picture of another size, turntable",
