@@ -25,6 +25,7 @@ mod hyperslab;
 pub mod iglf;
 mod loading;
 mod metaimage;
+pub mod movie;
 mod mrc;
 mod nifti;
 mod npy;

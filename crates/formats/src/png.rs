@@ -56,6 +56,12 @@ pub struct PngError {
 /// # Errors
 /// The bytes are no PNG file, or one of a larger picture.
 pub fn decode(png: &[u8], most_pixels: u64) -> Result<Rgb8, PngError> {
+    let picture = decode_any(png, most_pixels)?;
+    let (width, height) = (picture.width(), picture.height());
+    Ok(Rgb8 { width, height, bytes: picture.into_rgb8().into_raw() })
+}
+
+fn decode_any(png: &[u8], most_pixels: u64) -> Result<DynamicImage, PngError> {
     let failed = |width, height, cause: String| PngError { width, height, cause };
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(most_pixels * 16);
@@ -65,8 +71,16 @@ pub fn decode(png: &[u8], most_pixels: u64) -> Result<Rgb8, PngError> {
     if u64::from(width) * u64::from(height) > most_pixels {
         return Err(failed(width, height, format!("expected at most {most_pixels} pixels")));
     }
-    let picture = DynamicImage::from_decoder(decoder).map_err(|e| failed(width, height, e.to_string()))?;
-    Ok(Rgb8 { width, height, bytes: picture.into_rgb8().into_raw() })
+    DynamicImage::from_decoder(decoder).map_err(|e| failed(width, height, e.to_string()))
+}
+
+/// Reads a PNG file of at most `most_pixels` pixels: its columns and rows, and four bytes a pixel, with straight opacity.
+///
+/// # Errors
+/// The bytes are no PNG file, or one of a larger picture.
+pub fn decode_rgba(png: &[u8], most_pixels: u64) -> Result<([u32; 2], Vec<u8>), PngError> {
+    let picture = decode_any(png, most_pixels)?;
+    Ok(([picture.width(), picture.height()], picture.into_rgba8().into_raw()))
 }
 
 /// The PNG file of a picture in 8-bit sRGB, row by row from the top. A pixel has three bytes, or four with its straight
@@ -102,5 +116,6 @@ mod tests {
         let rgba: Vec<u8> = rgb.chunks(3).flat_map(|p| [p[0], p[1], p[2], 77]).collect();
         let png = encode(5, 3, &rgba).unwrap();
         assert!(decode(&png, 15).unwrap().bytes == rgb && png[25] == 6, "its colour type has opacity");
+        assert_eq!(decode_rgba(&png, 15).unwrap(), ([5, 3], rgba));
     }
 }

@@ -246,7 +246,8 @@ pub(crate) fn length(points: &[[f32; 3]]) -> f64 {
         let [a, b] = [pair[0], pair[1]].map(|p| glam::DVec3::from_array(p.map(f64::from)));
         a.distance(b)
     };
-    points.windows(2).map(distance).sum()
+    // An empty sum of floats is −0.
+    points.windows(2).map(distance).sum::<f64>().abs()
 }
 
 /// The angle at the second of three points, degrees.

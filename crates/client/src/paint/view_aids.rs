@@ -211,7 +211,7 @@ pub(crate) fn projected(basis: &Basis, rect: Rect, a: Vec3, b: Vec3) -> Option<[
 }
 
 /// The longest of 1, 2, 5, 10 … of the unit that is at most `most`, and its text.
-fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
+pub(crate) fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
     if !(most > 0.0 && most.is_finite()) {
         return None;
     }

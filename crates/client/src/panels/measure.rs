@@ -222,7 +222,7 @@ fn show_profile(
         false if values.is_some() => "the line does not meet the volume".to_owned(),
         false => "the values are on the way".to_owned(),
     };
-    named(&response, Role::Image, &words);
+    named(&response, Role::Image, "plot of the values");
     painter.rect_filled(rect, 4.0, ui.visuals().extreme_bg_color);
     let plot = rect.shrink2(vec2(6.0, 8.0));
     let height = if hi > lo { hi - lo } else { 1.0 };

@@ -517,4 +517,6 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
 mod access;
 mod clip;
 mod offline;
+mod measures;
 mod states;
+mod views;
