@@ -73,8 +73,8 @@ pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{OpenOptions, open, outline};
 pub use state::{
     MAX_LINK_BYTES, MAX_MEASURE_POINTS, MAX_MEASURES, MAX_STATE_BYTES, MAX_VIEWS, MeasureKind, NamedView,
-    ReadState, SavedCamera, SavedMeasure, SavedState, SavedView, SavedVolume, Srgb, StereoPicture, Theme, UpAxis,
-    is_state, is_view_name, read_state, state_from_bytes, state_from_link, state_to_link,
+    ReadState, SavedCamera, SavedMeasure, SavedState, SavedView, SavedVolume, Srgb, StereoPicture, Theme,
+    UpAxis, is_state, is_view_name, read_state, state_from_bytes, state_from_link, state_to_link,
 };
 pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml, transfer_to_toml};
 pub use transfer_import::{ImportedTransfer, import_transfers};

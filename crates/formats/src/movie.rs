@@ -99,7 +99,8 @@ impl MovieWriter {
         }
         let ended = match self.encoder {
             MovieEncoder::Gif(encoder) => {
-                encoder.into_inner().and_then(|buffer| Ok(drop(buffer.into_inner()?)))
+                let buffer = encoder.into_inner().map_err(io::Error::other);
+                buffer.and_then(|buffer| buffer.into_inner().map(drop).map_err(io::Error::from))
             }
             MovieEncoder::Apng(encoder) => encoder.finish().map_err(io::Error::from),
         };
@@ -120,9 +121,7 @@ impl MovieWriter {
                 frame.delay = (100 / PICTURES_PER_SECOND) as u16;
                 encoder.write_frame(&frame).map_err(io::Error::other)
             }
-            MovieEncoder::Apng(encoder) => {
-                encoder.write_image_data(&picture.bytes).map_err(io::Error::from)
-            }
+            MovieEncoder::Apng(encoder) => encoder.write_image_data(&picture.bytes).map_err(io::Error::from),
         }
     }
 }
@@ -188,7 +187,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.apng");
         write(&path, MovieForm::Apng, 4).unwrap();
-        let mut reader = png::Decoder::new(io::Cursor::new(std::fs::read(&path).unwrap())).read_info().unwrap();
+        let mut reader =
+            png::Decoder::new(io::Cursor::new(std::fs::read(&path).unwrap())).read_info().unwrap();
         assert_eq!(reader.info().animation_control().unwrap().num_frames, 4);
         let mut bytes = vec![0; num_bytes([12, 8])];
         for number in 0..4 {

@@ -25,8 +25,8 @@ use isinglass_core::space::Aabb;
 use isinglass_formats::{LoadRequest, NamedView, ReadState, UpAxis, VolumeSource};
 use isinglass_net::{Clock, Link};
 
-use self::open_dialog::OpenDialog;
 use self::measure::SeenPicture;
+use self::open_dialog::OpenDialog;
 use self::options::{USUAL_HZ, WindowOptions};
 use self::state::ComingState;
 pub(crate) use self::state::theme_preference;
@@ -284,7 +284,8 @@ impl<S: FrameSource> ViewerApp<S> {
 
     fn orientation(&self) -> Orientation {
         let description = self.viewing.source().description();
-        Orientation::of(description.as_ref().and_then(|d| d.volume.orientation.as_deref())).with_up(self.up_axis)
+        Orientation::of(description.as_ref().and_then(|d| d.volume.orientation.as_deref()))
+            .with_up(self.up_axis)
     }
 
     fn value_scale(&self) -> Option<ValueScale> {

@@ -7,7 +7,8 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part};
 use isinglass_formats::{
-    MAX_LINK_BYTES, ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, Theme, state_from_link, state_to_link,
+    MAX_LINK_BYTES, ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, Theme, state_from_link,
+    state_to_link,
 };
 use isinglass_net::{Link, State, state_of_link};
 

@@ -94,12 +94,6 @@ impl CameraMoves {
         self.travel = Some(Travel { from, to, began: now });
     }
 
-    /// Whether there is a view to return to.
-    pub(crate) fn has(&self, is_back: bool) -> bool {
-        let is_new = self.travel.is_none() && self.seen.map(|(seen, _)| seen) != self.last;
-        if is_back { !self.past.is_empty() || is_new } else { !self.future.is_empty() && !is_new }
-    }
-
     /// Moves the camera on its way to a chosen view, unless the hand has taken it. `is_held`: a drag goes on.
     /// Returns whether the camera is on its way.
     pub(crate) fn follow(
@@ -224,10 +218,10 @@ mod tests {
         }
         s.step(true);
         s.rest(20);
-        assert!(s.moves.has(false));
+        assert!(!s.moves.future.is_empty());
         s.drag(5.0);
         s.rest(40);
-        assert!(!s.moves.has(false), "what comes after a new gesture is gone");
+        assert!(s.moves.future.is_empty(), "what comes after a new gesture is gone");
     }
 
     #[test]
@@ -235,14 +229,13 @@ mod tests {
         let mut s = Stage::new();
         let first = s.view();
         s.drag(10.0);
-        assert!(s.moves.has(true));
         s.step(true);
         s.rest(20);
         assert_eq!(s.view(), first);
         // Control: without a gesture there is nothing to undo.
         let mut still = Stage::new();
         still.rest(60);
-        assert!(!still.moves.has(true) && !still.moves.has(false));
+        assert!(still.moves.past.is_empty() && still.moves.future.is_empty());
     }
 
     #[test]

@@ -74,7 +74,8 @@ impl Orientation {
 
     /// The up direction of a view from the direction `from`, both unit vectors of the world.
     pub(crate) fn up_from(&self, from: Vec3) -> Vec3 {
-        let candidates = [self.up(), self.world_from_sides * self.up_from_top, self.world_from_sides * Vec3::Y];
+        let candidates =
+            [self.up(), self.world_from_sides * self.up_from_top, self.world_from_sides * Vec3::Y];
         let found = candidates.into_iter().map(Vec3::round).find(|up| up.dot(from).abs() < 0.99);
         found.unwrap_or_else(|| from.any_orthonormal_vector())
     }

@@ -349,11 +349,15 @@ mod tests {
         let at = |x, y| Event::PointerMoved(pos2(x, y));
         let camera = vec![button(pos2(60.0, 60.0), true), at(90.0, 60.0), button(pos2(90.0, 60.0), false)];
         assert_eq!((feed(&mut editor, camera), editor.num_begun()), (3, 0));
-        let drag = vec![button(pos2(131.0, 139.0), true), at(150.0, 100.0), button(pos2(160.0, 100.0), false)];
+        let drag =
+            vec![button(pos2(131.0, 139.0), true), at(150.0, 100.0), button(pos2(160.0, 100.0), false)];
         assert_eq!(feed(&mut editor, drag), 1, "the camera sees no press");
         assert!((length(&editor.measures()[0].points) - 6.0).abs() < 1e-5);
         // Off the wall there is nowhere to go.
-        feed(&mut editor, vec![button(pos2(160.0, 100.0), true), at(10.0, 100.0), button(pos2(10.0, 100.0), false)]);
+        feed(
+            &mut editor,
+            vec![button(pos2(160.0, 100.0), true), at(10.0, 100.0), button(pos2(10.0, 100.0), false)],
+        );
         assert!((length(&editor.measures()[0].points) - 6.0).abs() < 1e-5);
         editor.remove(0);
         editor.remove(7);

@@ -234,8 +234,7 @@ pub(crate) const AXIS_COLORS: [Color32; 3] =
     [Color32::from_rgb(235, 95, 85), Color32::from_rgb(110, 200, 95), Color32::from_rgb(95, 150, 245)];
 const MAX_SCALE_POINTS: f32 = 150.0;
 /// Room for axes and scale at the bottom left, with the scale's longest note, points.
-pub(crate) const CORNER: Vec2 =
-    vec2(2.0 * AXES_MARGIN + 12.0 + 176.0, AXES_MARGIN + view_cube::RADIUS + 8.0);
+pub(crate) const CORNER: Vec2 = vec2(2.0 * AXES_MARGIN + 12.0 + 176.0, AXES_MARGIN + view_cube::RADIUS + 8.0);
 
 /// The point of the picture under a point of the screen, pixels.
 pub(crate) fn pixel_at(rect: Rect, camera: &Camera, at: Pos2) -> [f32; 2] {

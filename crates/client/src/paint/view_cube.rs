@@ -69,7 +69,8 @@ impl ViewCube<'_> {
     fn paint_side(&self, painter: &Painter, axis: usize, sign: f32, facing: f32, marked: Option<CubePart>) {
         let (right, up) = (Vec3::AXES[(axis + 1) % 3], Vec3::AXES[(axis + 2) % 3]);
         let at = |u: f32, v: f32| self.screen_from_world(Vec3::AXES[axis] * sign + right * u + up * v);
-        let quad = |[u0, u1]: [f32; 2], [v0, v1]: [f32; 2]| vec![at(u0, v0), at(u1, v0), at(u1, v1), at(u0, v1)];
+        let quad =
+            |[u0, u1]: [f32; 2], [v0, v1]: [f32; 2]| vec![at(u0, v0), at(u1, v0), at(u1, v1), at(u0, v1)];
         let shade = |low: f32, high: f32| Color32::from_gray((low + (high - low) * facing) as u8);
         let (fill, line) = match self.is_dark {
             true => (shade(38.0, 74.0), Color32::from_gray(150)),
@@ -140,8 +141,12 @@ mod tests {
         let orientation = Orientation::of(Some("RAS"));
         for (azimuth, elevation) in [(0.0, 0.0), (0.6, 0.4), (-2.0, -0.9), (3.0, 0.1)] {
             let camera = camera(azimuth, elevation);
-            let cube =
-                ViewCube { center: pos2(80.0, 90.0), camera: &camera, orientation: &orientation, is_dark: true };
+            let cube = ViewCube {
+                center: pos2(80.0, 90.0),
+                camera: &camera,
+                orientation: &orientation,
+                is_dark: true,
+            };
             let mut num_seen = 0;
             for i in 0..27 {
                 let part: CubePart = [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1];

@@ -82,7 +82,8 @@ impl MeasurePane {
     }
 
     fn shown_profile(&self, measures: &[SavedMeasure]) -> Option<usize> {
-        let is_profile = |number: &usize| measures.get(*number).is_some_and(|m| m.kind == MeasureKind::Profile);
+        let is_profile =
+            |number: &usize| measures.get(*number).is_some_and(|m| m.kind == MeasureKind::Profile);
         let newest = || (0..measures.len()).rev().find(is_profile);
         self.chosen.filter(is_profile).or_else(newest)
     }
@@ -363,7 +364,10 @@ mod tests {
         assert_eq!(lines[1], "1,distance,1,10,20,30,0,,");
         assert_eq!(lines[2], "1,distance,2,14,23,18,13,,");
         assert_eq!(lines[4], "2,angle,2,10,20,30,1,90,");
-        assert_eq!(lines[6..], ["3,profile,1,10,20,30,0,,5", "3,profile,2,10,20,29.5,0.5,,", "3,profile,3,10,20,29,1,,-7.5"]);
+        assert_eq!(
+            lines[6..],
+            ["3,profile,1,10,20,30,0,,5", "3,profile,2,10,20,29.5,0.5,,", "3,profile,3,10,20,29,1,,-7.5"]
+        );
         // Without its values a profile is a line of two points.
         assert_eq!(csv(&measures, &volume, None).lines().count(), 1 + 2 + 3 + 2);
     }
@@ -382,7 +386,8 @@ mod tests {
             }
             wanted.is_some()
         };
-        let asked = [asks(1.0, &a, 1), asks(1.0, &a, 2), asks(2.0, &a, 3), asks(2.0, &b, 4), asks(2.0, &b, 5)];
+        let asked =
+            [asks(1.0, &a, 1), asks(1.0, &a, 2), asks(2.0, &a, 3), asks(2.0, &b, 4), asks(2.0, &b, 5)];
         assert_eq!(asked, [true, false, true, true, false]);
         let profile = |id| Profile { id: ProbeId(id), values: vec![] };
         assert!(pane.values(Some(&profile(3))).is_none(), "of another volume");

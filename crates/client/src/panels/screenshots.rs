@@ -289,11 +289,11 @@ impl Screenshots {
                 ui.add(number).labelled_by(label.id).on_hover_text(hint);
                 ui.end_row();
                 if self.num_pictures > 1 {
-                    let label = ui.label("turntable as");
+                    ui.label("turntable as");
                     ui.horizontal(|ui| {
                         for (form, name, hint) in FORMS {
                             let choice = ui.selectable_label(self.movie == form, name);
-                            if choice.labelled_by(label.id).on_hover_text(hint).clicked() {
+                            if choice.on_hover_text(hint).clicked() {
                                 self.movie = form;
                             }
                         }

@@ -88,7 +88,8 @@ mod tests {
         let [nx, ny, nz] = [6u32, 5, 7];
         let value = |i: u32| 3.0 * (i % nx) as f32 - 2.0 * (i / nx % ny) as f32 + 5.0 * (i / nx / ny) as f32;
         let voxels = Voxels::F32((0..nx * ny * nz).map(value).collect());
-        Volume::new([nx, ny, nz], Vec3::new(0.5, 1.0, 2.0), voxels, (1.0, 7.0), VolumeInfo::default()).unwrap()
+        Volume::new([nx, ny, nz], Vec3::new(0.5, 1.0, 2.0), voxels, (1.0, 7.0), VolumeInfo::default())
+            .unwrap()
     }
 
     fn ask(from: Vec3, to: Vec3, num_points: u16) -> Profile {
@@ -111,7 +112,8 @@ mod tests {
             (Vec3::splat(0.4), Vec3::splat(0.4)),
         ] {
             let profile = ask(inner(from), inner(to), 101);
-            let expected = |share: Vec3| 7.0 + (Vec3::new(3.0 * 5.0, -2.0 * 4.0, 5.0 * 6.0) * share).element_sum();
+            let expected =
+                |share: Vec3| 7.0 + (Vec3::new(3.0 * 5.0, -2.0 * 4.0, 5.0 * 6.0) * share).element_sum();
             assert!(profile.values.len() == 101 && profile.validate().is_ok());
             for (i, value) in profile.values.iter().enumerate() {
                 let wanted = expected(from.lerp(to, i as f32 / 100.0));
@@ -133,7 +135,8 @@ mod tests {
             ends: [[0.0; 3], [x, 0.0, 0.0]],
             num_points,
         };
-        for (x, num_points) in [(1.0, 0), (1.0, 1), (1.0, 513), (f32::NAN, 2), (f32::INFINITY, 2), (2e18, 2)] {
+        for (x, num_points) in [(1.0, 0), (1.0, 1), (1.0, 513), (f32::NAN, 2), (f32::INFINITY, 2), (2e18, 2)]
+        {
             assert!(question(x, num_points).validate().is_err(), "{x} {num_points}");
         }
         assert!(question(1.0, 512).validate().is_ok());

@@ -79,10 +79,14 @@ impl NamedView {
         let (center, rotation, eye) = self.viewpoint();
         let is_name = is_view_name(&self.name);
         if !is_name {
-            return Some(format!("found the view {}, expected a name of 1 to {MAX_VIEW_NAME} characters in one line", quoted(&self.name)));
+            return Some(format!(
+                "found the view {}, expected a name of 1 to {MAX_VIEW_NAME} characters in one line",
+                quoted(&self.name)
+            ));
         }
         let is_place = Pose::around(center, rotation, eye).is_valid();
-        (!is_place).then(|| format!("the view {} is no place and rotation of finite numbers", quoted(&self.name)))
+        (!is_place)
+            .then(|| format!("the view {} is no place and rotation of finite numbers", quoted(&self.name)))
     }
 }
 
@@ -164,7 +168,13 @@ mod tests {
     fn view(name: &str) -> NamedView {
         let rotation = Quat::from_rotation_y(0.3).to_array();
         let eye_from_center = [0.1, 0.0, 1.0 / 3.0];
-        NamedView { name: name.into(), center: [1.5, -2.0, 0.1], rotation, eye_from_center, orthographic: true }
+        NamedView {
+            name: name.into(),
+            center: [1.5, -2.0, 0.1],
+            rotation,
+            eye_from_center,
+            orthographic: true,
+        }
     }
 
     fn measure(kind: MeasureKind, number: usize) -> SavedMeasure {
@@ -215,7 +225,8 @@ mod tests {
         assert!(odd(vec![], vec![measure(MeasureKind::Angle, 2)]).contains("2 points"));
         assert!(odd(vec![], vec![measure(MeasureKind::Path, 1)]).contains("1 points"));
         assert!(odd(vec![], vec![measure(MeasureKind::Path, 257)]).contains("257 points"));
-        let far = SavedMeasure { points: vec![[f32::INFINITY, 0.0, 0.0]; 2], ..measure(MeasureKind::Profile, 2) };
+        let far =
+            SavedMeasure { points: vec![[f32::INFINITY, 0.0, 0.0]; 2], ..measure(MeasureKind::Profile, 2) };
         assert!(odd(vec![], vec![far]).contains("beyond"));
         assert!(odd(vec![], vec![measure(MeasureKind::Distance, 2); 65]).contains("65 measurements"));
     }

@@ -14,7 +14,8 @@ use isinglass_formats::movie::{MovieForm, MovieWriter, PICTURES_PER_SECOND};
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, ListArgs, LookArgs, PathArgs, ViewArgs, VolumeArgs, not_an_input, parse_background, parse_picture,
+    BackendArgs, ListArgs, LookArgs, PathArgs, ViewArgs, VolumeArgs, not_an_input, parse_background,
+    parse_picture,
 };
 use crate::given::Given;
 use crate::lens_args::LensArgs;

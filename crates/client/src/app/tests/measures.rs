@@ -30,14 +30,14 @@ const PLACES: [egui::Pos2; 2] = [egui::pos2(420.0, 320.0), egui::pos2(480.0, 380
 fn measured() -> Harness<'static, ViewerApp<HereSource>> {
     let mut w = window([900.0, 700.0]);
     press(&mut w, Modifiers::NONE, Key::D);
-    PLACES.map(|at| click_at(&mut w, at));
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
     w
 }
 
 #[test]
 fn two_clicks_tell_the_distance_of_what_is_seen_there() {
     let mut w = window([900.0, 700.0]);
-    PLACES.map(|at| click_at(&mut w, at));
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
     assert!(w.state().measures.measures().is_empty(), "control: it is off");
     let mut w = measured();
     let [a, b] = points(&w, 0)[..] else { panic!("a distance has two points") };
@@ -78,7 +78,7 @@ fn the_values_along_a_line_are_the_server_s_and_go_to_a_csv_file() {
     press(&mut w, Modifiers::NONE, Key::D);
     w.get_by_label("Profile").click();
     rest(&mut w);
-    PLACES.map(|at| click_at(&mut w, at));
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
     assert_eq!(w.state().measures.measures()[0].kind, MeasureKind::Profile);
     let answer = w.state().viewing.source().talk().profile.answer().cloned().unwrap();
     let ends = points(&w, 0);

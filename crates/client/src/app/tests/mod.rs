@@ -144,7 +144,9 @@ impl Here {
         };
         let picture = render(&scene, &camera);
         let bytes = match shot.background {
-            Some(background) => picture.to_srgb8(ViewAids { background, ..ViewAids::default() }.linear_background()),
+            Some(background) => {
+                picture.to_srgb8(ViewAids { background, ..ViewAids::default() }.linear_background())
+            }
             None => picture.to_srgba8(),
         };
         isinglass_formats::png::encode(view.intrinsics.width, view.intrinsics.height, &bytes).unwrap()
@@ -516,7 +518,7 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
 
 mod access;
 mod clip;
-mod offline;
 mod measures;
+mod offline;
 mod states;
 mod views;

@@ -9,8 +9,8 @@ use isinglass_core::picture::srgb_from_linear;
 use isinglass_formats::png;
 
 use super::Subject;
-use crate::panels::text::format_in;
 use crate::paint::view_aids::round_length;
+use crate::panels::text::format_in;
 
 /// What the colours of a picture stand for.
 #[derive(Clone, Debug)]
@@ -114,7 +114,9 @@ impl PictureMarks {
             for [x, y, w, h] in bars {
                 canvas.fill([x - 1, y - 1, w + 2, h + 2], halo);
             }
-            bars.map(|bar| canvas.fill(bar, ink));
+            for bar in bars {
+                canvas.fill(bar, ink);
+            }
             canvas.stamp(text, [left, y - points(6.0) - text.height as isize], ink, halo);
         }
         if let Some(ColorLegend { colors, high, low }) = &self.legend {
@@ -122,7 +124,8 @@ impl PictureMarks {
             let (x, y) = (right - points(24.0) - wide, bottom - points(28.0) - tall);
             canvas.fill([x - 1, y - 1, wide + 2, tall + 2], ink);
             for row in 0..tall {
-                let color = colors[(row as usize * colors.len() / tall.max(1) as usize).min(colors.len() - 1)];
+                let color =
+                    colors[(row as usize * colors.len() / tall.max(1) as usize).min(colors.len() - 1)];
                 canvas.fill([x, y + row, wide, 1], color);
             }
             let left_of = |text: &Stamp| x - points(6.0) - text.width as isize;
@@ -140,7 +143,8 @@ impl Stamp {
         ctx.fonts_mut(|fonts| {
             let galley = fonts.layout_no_wrap(text.to_owned(), font, Color32::WHITE);
             let letters = fonts.image();
-            let [width, height] = [galley.size().x, galley.size().y].map(|side| (side * scale).ceil() as usize + 2);
+            let [width, height] =
+                [galley.size().x, galley.size().y].map(|side| (side * scale).ceil() as usize + 2);
             let mut stamp = Self { width, height, opacities: vec![0; width * height] };
             for row in &galley.rows {
                 for glyph in row.row.glyphs.iter().filter(|glyph| !glyph.uv_rect.is_nothing()) {
@@ -149,9 +153,12 @@ impl Stamp {
                     let (left, top) = (at.x.round() as isize, at.y.round() as isize);
                     for y in uv.min[1]..uv.max[1] {
                         for x in uv.min[0]..uv.max[0] {
-                            let (to_x, to_y) = (left + (x - uv.min[0]) as isize, top + (y - uv.min[1]) as isize);
-                            let is_inside = (0..width as isize).contains(&to_x) && (0..height as isize).contains(&to_y);
-                            let letter = letters.pixels.get(usize::from(y) * letters.size[0] + usize::from(x));
+                            let (to_x, to_y) =
+                                (left + (x - uv.min[0]) as isize, top + (y - uv.min[1]) as isize);
+                            let is_inside =
+                                (0..width as isize).contains(&to_x) && (0..height as isize).contains(&to_y);
+                            let letter =
+                                letters.pixels.get(usize::from(y) * letters.size[0] + usize::from(x));
                             if let Some(letter) = letter.filter(|_| is_inside) {
                                 let to = &mut stamp.opacities[to_y as usize * width + to_x as usize];
                                 *to = (*to).max(letter.a());
@@ -246,7 +253,8 @@ mod tests {
 
     fn context() -> Context {
         let ctx = Context::default();
-        let _ = ctx.run_ui(egui::RawInput::default(), |_| {});
+        // No window takes the letters' texture.
+        ctx.run_ui(egui::RawInput::default(), |_| {}).textures_delta.clear();
         ctx
     }
 
