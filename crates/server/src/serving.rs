@@ -203,6 +203,9 @@ impl Viewer {
             if talk.probe.is_asked() {
                 talk.probe.answer(self.present.lights.volume());
             }
+            if talk.profile.is_asked() {
+                talk.profile.answer(self.present.lights.volume());
+            }
             let quiet = talk.quietly();
             (pose, order) = (quiet.pose.poll_new(), quiet.selection.poll_order());
             (shot, look) = (quiet.screenshot.poll_request(), quiet.look.look().clone());

@@ -15,6 +15,7 @@ pub(crate) mod help;
 pub(crate) mod hints;
 pub(crate) mod known_files;
 pub(crate) mod light;
+pub(crate) mod measure;
 pub(crate) mod part_pickers;
 pub(crate) mod parts_bar;
 pub(crate) mod probe;

@@ -4,6 +4,7 @@ use super::link::LinkClient;
 use super::look::LookClient;
 use super::pose::PoseClient;
 use super::probe::ProbeClient;
+use super::profile::ProfileClient;
 use super::screenshot::ScreenshotClient;
 use super::selection::SelectionClient;
 use super::slices::SlicesClient;
@@ -25,6 +26,8 @@ pub struct ClientSession {
     pub selection: SelectionClient,
     /// The value at a point.
     pub probe: ProbeClient,
+    /// The values along a line.
+    pub profile: ProfileClient,
     /// A picture to keep.
     pub screenshot: ScreenshotClient,
     /// Slices through the volume.
@@ -52,6 +55,7 @@ impl ClientSession {
         self.look.handle_welcome(now_micros, version, look, is_other_file);
         self.selection.handle_welcome(self.link.connection() == 1);
         self.probe.handle_welcome();
+        self.profile.handle_welcome();
         self.screenshot.handle_welcome();
         self.slices.handle_welcome(&volume, version);
         self.pose.handle_welcome();
@@ -77,6 +81,7 @@ impl ClientSession {
         self.look.handle_message(now_micros, &message);
         self.selection.handle_message(&message);
         self.probe.handle_message(&message);
+        self.profile.handle_message(&message);
         self.screenshot.handle_message(&message);
         self.slices.handle_message(&message);
         Ok(())
@@ -101,14 +106,16 @@ impl ClientSession {
         let shot = if is_ready { self.screenshot.poll_message(now_micros) } else { None };
         shot.or_else(|| self.slices.poll_message(now_micros))
             .or_else(|| self.probe.poll_message(now_micros))
+            .or_else(|| self.profile.poll_message(now_micros))
             .or_else(|| self.link.poll_message(now_micros))
     }
 
     /// When to poll messages again if nothing happens, µs.
     pub fn due(&self) -> Option<u64> {
         let screenshot = self.screenshot.due().filter(|_| !self.look.is_waiting());
-        let dues = [self.look.due(), screenshot, self.slices.due(), self.probe.due(), self.link.due()];
-        dues.into_iter().flatten().filter(|_| self.is_up).min()
+        let of_places = [self.slices.due(), self.probe.due(), self.profile.due()];
+        let dues = [self.look.due(), screenshot, self.link.due()].into_iter().chain(of_places);
+        dues.flatten().filter(|_| self.is_up).min()
     }
 }
 

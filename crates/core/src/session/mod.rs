@@ -10,6 +10,7 @@
 //! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they begin; [`chunks`]: what
 //!   is sent, given up and decoded.
 //! - [`probe`], [`screenshot`], [`slices`]: the value at a point, a picture to keep, and slices through the volume.
+//! - [`probe`], [`profile`]: the value at a point, the values along a line; [`screenshot`]: a picture to keep.
 //! - [`ledger`]: the life of every frame, on either side.
 //! - [`pace`]: the newest of many values, at a bounded rate.
 //! - `pair`: both sides joined by a simulated link, for tests.
@@ -27,6 +28,7 @@ pub mod pace;
 pub(crate) mod pair;
 pub mod pose;
 pub mod probe;
+pub mod profile;
 pub mod rate;
 mod round_trip;
 pub mod schedule;

@@ -207,6 +207,7 @@ impl Pair {
             server.look.begin(self.now, look, true);
         }
         server.probe.answer(&self.volume);
+        server.profile.answer(&self.volume);
         self.orders.extend(server.selection.poll_order());
         if let Some(Some(shot)) = server.screenshot.poll_request() {
             self.shots.push((shot.id, server.look.look().transfer.name.clone()));

@@ -6,6 +6,7 @@ use super::link::LinkServer;
 use super::look::LookServer;
 use super::pose::PoseServer;
 use super::probe::ProbeServer;
+use super::profile::ProfileServer;
 use super::screenshot::ScreenshotServer;
 use super::selection::SelectionServer;
 use super::slices::SlicesServer;
@@ -30,6 +31,8 @@ pub struct ServerSession {
     pub selection: SelectionServer,
     /// The value at a point.
     pub probe: ProbeServer,
+    /// The values along a line.
+    pub profile: ProfileServer,
     /// A picture to keep.
     pub screenshot: ScreenshotServer,
     /// Slices through the volume.
@@ -58,6 +61,7 @@ impl ServerSession {
             look: LookServer::new(version, look),
             selection: SelectionServer::new(viewer),
             probe: ProbeServer::default(),
+            profile: ProfileServer::default(),
             screenshot: ScreenshotServer::default(),
             slices: SlicesServer::new(version),
             link: LinkServer::new(now_micros),
@@ -93,6 +97,7 @@ impl ServerSession {
         self.look.handle_message(&message);
         self.selection.handle_message(&message);
         self.probe.handle_message(&message);
+        self.profile.handle_message(&message);
         self.screenshot.handle_message(&message);
         self.slices.handle_message(&message);
         Ok(Heard::Taken)
@@ -106,6 +111,7 @@ impl ServerSession {
             .or_else(|| self.link.poll_message())
             .or_else(|| self.screenshot.poll_message())
             .or_else(|| self.probe.poll_message())
+            .or_else(|| self.profile.poll_message())
     }
 
     /// When to poll messages again if nothing happens, µs.

@@ -12,6 +12,7 @@
 pub mod control;
 mod pose;
 mod probe;
+mod profile;
 pub mod screenshot;
 mod selection;
 pub mod slice;
@@ -25,6 +26,7 @@ pub use control::{
 };
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
+pub use profile::{MAX_PROFILE_POINTS, Profile, ProfileRequest};
 pub use screenshot::ScreenshotRequest;
 pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use slice::{SliceRequest, WantedSlices};

@@ -78,6 +78,7 @@ fn state(seed: u32) -> SavedState {
             ..SavedView::default()
         },
         look: Some(Look { shaded: seed.is_multiple_of(2), k: 9, clip: clip(seed), ..Look::new(transfer) }),
+        ..SavedState::default()
     }
 }
 

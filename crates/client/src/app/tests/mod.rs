@@ -102,6 +102,9 @@ impl HereSource {
                     here.num_probes += 1;
                     session.probe.handle_answer(question.answer(&here.scene.volume));
                 }
+                ClientMessage::Profile(question) => {
+                    session.profile.handle_answer(question.answer(&here.scene.volume));
+                }
                 ClientMessage::TakeScreenshot(shot) => {
                     here.num_shots += 1;
                     if !here.sleeps {
@@ -146,13 +149,18 @@ impl Here {
     fn png(&self, shot: &ScreenshotRequest) -> Vec<u8> {
         let view = shot.view().unwrap();
         let camera = Camera::new(view.pose, view.intrinsics, &self.scene.volume.bounds());
-        let linear = ViewAids { background: shot.background, ..ViewAids::default() }.linear_background();
         let scene = match shot.look.as_deref() {
             Some(look) => Scene::new(self.scene.volume.clone(), &look.transfer, look.march_settings()),
             None => self.scene.clone(),
         };
-        let rgb = render(&scene, &camera).to_srgb8(linear);
-        isinglass_formats::png::encode(view.intrinsics.width, view.intrinsics.height, &rgb).unwrap()
+        let picture = render(&scene, &camera);
+        let bytes = match shot.background {
+            Some(background) => {
+                picture.to_srgb8(ViewAids { background, ..ViewAids::default() }.linear_background())
+            }
+            None => picture.to_srgba8(),
+        };
+        isinglass_formats::png::encode(view.intrinsics.width, view.intrinsics.height, &bytes).unwrap()
     }
 
     fn render(&mut self) {
@@ -521,7 +529,9 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
 
 mod access;
 mod clip;
+mod measures;
 mod narrow;
 mod offline;
 mod slices;
 mod states;
+mod views;

@@ -20,6 +20,14 @@ pub enum Action {
     FirstView,
     /// Show a standard view, from the front, the right or the top, or from the opposite side.
     StandardView(Side, Opposite),
+    /// Show three sides alike.
+    Isometric,
+    /// Bring all of the volume into the picture.
+    Fit,
+    /// Return to the view before the newest movement.
+    PreviousView,
+    /// Return from there.
+    NextView,
     /// Move the camera by a step.
     Step(Step),
     /// Switch the numbers on or off.
@@ -40,6 +48,8 @@ pub enum Action {
     Stereo,
     /// Switch the probe on or off.
     Probe,
+    /// Switch measuring on or off.
+    Measure,
     /// Save a picture of the view.
     Picture,
     /// Open the dialog for a picture of another size, or for a turntable.
@@ -73,7 +83,7 @@ pub enum Action {
 impl Action {
     /// Whether the key repeats while it is held down.
     fn repeats(self) -> bool {
-        matches!(self, Self::Undo | Self::Redo | Self::Step(_))
+        matches!(self, Self::Undo | Self::Redo | Self::PreviousView | Self::NextView | Self::Step(_))
     }
 }
 
@@ -401,6 +411,15 @@ const TABLE: &[Line] = &[
             ("left", view(Side::Right, true), &["shift+3"]),
             ("top", view(Side::Top, false), &["7"]),
             ("bottom", view(Side::Top, true), &["shift+7"]),
+        ],
+    ),
+    keys("isometric view", &[("isometric", Deed::Act(Action::Isometric), &["0"])]),
+    keys("fit the volume into the picture", &[("fit", Deed::Act(Action::Fit), &["f"])]),
+    keys(
+        "the view before, the view after",
+        &[
+            ("previous-view", Deed::Act(Action::PreviousView), &["alt+left"]),
+            ("next-view", Deed::Act(Action::NextView), &["alt+right"]),
         ],
     ),
     keys(
