@@ -3,6 +3,7 @@
 
 mod actions;
 mod bars;
+mod choices;
 mod open_dialog;
 pub(crate) mod options;
 mod picture;
@@ -23,6 +24,7 @@ use isinglass_core::space::Aabb;
 use isinglass_formats::{LoadRequest, ReadState, VolumeSource};
 use isinglass_net::{Clock, Link};
 
+use self::choices::ChoiceKeeper;
 use self::open_dialog::OpenDialog;
 use self::options::{USUAL_HZ, WindowOptions};
 use self::state::ComingState;
@@ -127,6 +129,7 @@ pub(crate) struct ViewerApp<S> {
     reported_at: Duration,
     parts_bar: PartsBar,
     wish: Option<AppWish>,
+    keeper: ChoiceKeeper,
 }
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -141,6 +144,8 @@ impl<S: FrameSource> ViewerApp<S> {
         let opened_at = Duration::from_micros(clock.now_micros());
         let viewing = Viewing::new(source, options.frame_size, options.foresight);
         let shows_panel = options.shows_panel;
+        let (file, chosen) = (options.choices_file.clone(), options.choices.clone());
+        let keeper = ChoiceKeeper::new(file, chosen, options.has_light);
         let quality = QualityControl::new(options.refresh_hz.unwrap_or(USUAL_HZ));
         Self {
             stereo: options.stereo,
@@ -188,6 +193,7 @@ impl<S: FrameSource> ViewerApp<S> {
             reported_at: Duration::ZERO,
             parts_bar: PartsBar::default(),
             wish: None,
+            keeper,
         }
     }
 
@@ -204,6 +210,7 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
         self.gallery = Gallery::default();
+        self.keeper.turn();
         (self.coming, self.wish) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
         (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);

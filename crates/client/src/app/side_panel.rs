@@ -4,7 +4,7 @@ use egui::{Panel, RichText, Ui};
 use glam::Vec3;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
-use isinglass_core::mode::Mode;
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::VolumeDescription;
 
@@ -39,6 +39,8 @@ pub(crate) struct LookSettings<'a> {
     pub(crate) forward: Vec3,
     pub(crate) bindings: &'a Bindings,
     pub(crate) world_from_view: glam::Quat,
+    /// Set when the person resets the choices.
+    pub(crate) resets_choices: &'a mut bool,
 }
 
 /// Docks the panel at the right of `ui` while it is open, and changes the settings. Returns what to do with states.
@@ -70,10 +72,12 @@ pub(crate) fn show(
                     entry.set(&mut settings.look, scale);
                 }
             });
+            let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
+            section(ui, "Transfer function", true, |ui| editor.show(ui, scale, surfaces.as_slice()));
             if settings.look.mode == Mode::Iso {
+                // Below the rows that are always there, so that none of them moves under the pointer.
                 section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
             }
-            section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
             section(ui, "Light", false, |ui| {
                 light::show(ui, &mut settings.look, settings.world_from_view);
             });
@@ -154,6 +158,7 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     ui.horizontal(|ui| {
         ui.checkbox(&mut aids.shows_axes, axes);
         ui.checkbox(&mut aids.shows_box, volume_box);
+        ui.checkbox(&mut aids.shows_legend, settings.bindings.with_key("legend", Action::Legend));
     });
     ui.horizontal(|ui| {
         ui.label("background");
@@ -176,6 +181,9 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
             }
         }
     });
+    let reset = ui.button("reset choices");
+    let reset = reset.on_hover_text("panel, theme, background, axes and light as at the first start");
+    *settings.resets_choices |= reset.clicked();
 }
 
 /// Room for nine points of a curve, points.

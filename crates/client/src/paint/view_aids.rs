@@ -13,13 +13,15 @@ pub(crate) struct ViewAids {
     pub(crate) shows_box: bool,
     /// Axes and scale bar.
     pub(crate) shows_axes: bool,
+    /// The key to the colours.
+    pub(crate) shows_legend: bool,
     /// sRGB behind the volume.
     pub(crate) background: [u8; 3],
 }
 
 impl Default for ViewAids {
     fn default() -> Self {
-        Self { shows_box: false, shows_axes: true, background: [0; 3] }
+        Self { shows_box: false, shows_axes: true, shows_legend: false, background: [0; 3] }
     }
 }
 
@@ -112,7 +114,7 @@ impl Pen<'_> {
         self.painter.circle(at, radius, color, Stroke::new(1.5, self.halo.gamma_multiply(0.8)));
     }
 
-    fn text(&self, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
+    pub(crate) fn text(&self, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
         let font = FontId::proportional(size);
         for shift in [vec2(-1.0, 0.0), vec2(1.0, 0.0), vec2(0.0, -1.0), vec2(0.0, 1.0)] {
             self.painter.text(at + shift, align, text, font.clone(), self.halo.gamma_multiply(0.7));

@@ -44,10 +44,15 @@ pub(crate) fn show(ui: &mut Ui, look: &mut Look, world_from_view: Quat) {
         ui.vertical(|ui| {
             ui.label("drag the light; beyond the rim it is behind");
             if ui.button("reset the light").clicked() {
-                *lighting = Lighting::default();
+                *lighting = usual_lighting();
             }
         });
     });
+}
+
+/// The light of a volume for which nobody chose another.
+pub(crate) fn usual_lighting() -> Lighting {
+    Lighting { ambient_occlusion: 0.5, ..Lighting::default() }
 }
 
 /// The light after a drag in a picture of `height` pixels. A drag over the whole height is half a turn.

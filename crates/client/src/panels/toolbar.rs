@@ -81,6 +81,7 @@ impl Toolbar<'_> {
         for (name, action) in [
             ("Clip", Action::Clip),
             ("Probe values", Action::Probe),
+            ("Legend of the colours", Action::Legend),
             ("Save a picture", Action::Picture),
             ("Copy a link to the view", Action::CopyLink),
             ("Full screen", Action::FullScreen),

@@ -34,6 +34,8 @@ pub enum Action {
     Projection,
     /// Switch axes and scale bar on or off.
     Axes,
+    /// Switch the legend of the colours on or off.
+    Legend,
     /// Choose the next kind of stereo.
     Stereo,
     /// Switch the probe on or off.
@@ -408,6 +410,7 @@ const TABLE: &[Line] = &[
     keys("numbers on or off", &[("numbers", Deed::Act(Action::Numbers), &["o"])]),
     keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
     keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
+    keys("legend of the colours on or off", &[("legend", Deed::Act(Action::Legend), &["k"])]),
     keys("stereo: side by side, red-cyan, off", &[("stereo", Deed::Act(Action::Stereo), &["s"])]),
     keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
     keys("save a picture of the view", &[("picture", Deed::Act(Action::Picture), &["F12"])]),
