@@ -158,8 +158,8 @@ fn check(machine: Machine, rtt_ms: u64, mode: CodingMode) -> Result<(), String> 
     if is_met { Ok(()) } else { Err(found) }
 }
 
-/// New frames a second that the display of 60 Hz must get.
-const LEAST_FPS: f64 = 55.0;
+/// New frames a second that the display of 60 Hz must get. A quiet machine gets 54 to 60, the control less than 40.
+const LEAST_FPS: f64 = 47.0;
 
 #[test]
 fn a_fast_machines_frames_are_on_the_screen_as_old_as_the_link_and_little_older() {

@@ -217,8 +217,8 @@ fn view_opens_the_volume_of_a_state() {
     bench.write("film.nrrd", film());
     bench.write("seen.toml", third_time("film.nrrd").to_toml());
     bench.write("missing.toml", third_time("/nowhere/none.nrrd").to_toml());
-    let view = |file: &str| {
-        let mut command = bench.command(&format!("view --state {file} --backend cpu"));
+    let view = |what: &str| {
+        let mut command = bench.command(&format!("view {what} --backend cpu"));
         command.env("DISPLAY", std::env::var_os("DISPLAY").unwrap_or_default());
         command.env("XDG_STATE_HOME", bench.path("remembered")).env("RUST_LOG", "warn");
         let log = std::fs::File::create(bench.path("log")).unwrap();
@@ -241,10 +241,17 @@ fn view_opens_the_volume_of_a_state() {
             std::thread::sleep(std::time::Duration::from_millis(10));
         }
     };
-    let mut viewer = view("seen.toml");
+    let mut viewer = view("--state seen.toml");
     until(&mut viewer, "remembered/isinglass/recent.toml", &["film.nrrd", "time = 2"]);
     drop(viewer);
-    let mut viewer = view("missing.toml");
+    // The link that a window copies of a volume of this machine.
+    std::fs::remove_file(bench.path("remembered/isinglass/recent.toml")).unwrap();
+    let link = format!("isinglass://127.0.0.1:1/#cert=sha256:{}&state=", "ab".repeat(32));
+    let link = link + &state_to_link(&third_time("film.nrrd"));
+    let mut viewer = view(&link);
+    until(&mut viewer, "remembered/isinglass/recent.toml", &["film.nrrd", "time = 2"]);
+    drop(viewer);
+    let mut viewer = view("--state missing.toml");
     until(&mut viewer, "log", &["/nowhere/none.nrrd"]);
     assert!(viewer.0.try_wait().unwrap().is_none(), "the page stays");
 }

@@ -27,10 +27,10 @@ pub(crate) const STOP_UNUSABLE: VarInt = VarInt::from_u32(2);
 
 /// Time limit for the handshake, and another for the hello up to the welcome.
 pub(crate) const AUTH_DEADLINE: Duration = Duration::from_secs(5);
-/// A client gives up a silent connection after this time. Keep-alives are answered every [`KEEP_ALIVE`], so that
-/// takes three lost ones and a long round trip.
+/// A client gives up a silent connection after this time. Keep-alives are answered every [`KEEP_ALIVE`].
 pub(crate) const SILENCE_LIMIT: Duration = Duration::from_secs(8);
-const KEEP_ALIVE: Duration = Duration::from_secs(2);
+/// So short that a viewer notices a dead server within two seconds.
+const KEEP_ALIVE: Duration = Duration::from_millis(500);
 const IDLE_MILLIS: u32 = 30_000;
 
 /// Settings of both sides. CUBIC, because quinn's BBR floods narrow links and nobody maintains it.

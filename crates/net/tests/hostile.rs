@@ -182,6 +182,27 @@ async fn another_certificate_is_never_trusted() {
     assert_serves(&link).await;
 }
 
+/// A killed server says no goodbye.
+#[test]
+fn a_dead_server_is_noticed_before_the_connection_is_given_up() {
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let server = runtime.block_on(async { server() });
+    let link = server.mint_link("127.0.0.1").unwrap();
+    runtime.block_on(async { serve(server) });
+    let client = connect(&link);
+    client.wait_connected(Duration::from_secs(20)).unwrap();
+    // Keep-alives are answered.
+    for _ in 0..20 {
+        assert!(!client.stats().is_silent());
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    runtime.shutdown_background();
+    while !client.stats().is_silent() {
+        assert_eq!(client.state(), State::Connected);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_port_in_use_is_named() {
     let first = server();

@@ -55,9 +55,10 @@ impl<S: FrameSource> ViewerApp<S> {
     fn status_line(&self, ui: &mut Ui) {
         let small = |text: String| RichText::new(text).size(12.0).color(quiet(ui.ctx()));
         let (source, name) = (self.viewing.source(), &self.options.server_name);
-        let state = source.state();
-        let server = match (&state, source.stats().rtt_micros) {
-            (State::Connected, micros) if micros > 0 => {
+        let (state, stats) = (source.state(), source.stats());
+        let is_silent = state == State::Connected && stats.is_silent();
+        let server = match (&state, stats.rtt_micros) {
+            (State::Connected, micros) if micros > 0 && !is_silent => {
                 format!("{name}  {}", format_duration(Duration::from_micros(micros)))
             }
             _ => name.clone(),
@@ -66,7 +67,7 @@ impl<S: FrameSource> ViewerApp<S> {
         ui.horizontal_centered(|ui| {
             ui.add(egui::Label::new(size).truncate());
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-                status::connection_dot(ui, &state);
+                status::connection_dot(ui, &state, is_silent);
                 ui.add(egui::Label::new(server).truncate());
             });
         });

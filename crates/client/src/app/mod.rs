@@ -72,6 +72,8 @@ pub(crate) enum AppWish {
     Volume(LoadRequest),
     /// Open the volume of a state.
     State(Box<ReadState>),
+    /// Connect to another server, and show it as the state says if the link has no state of its own.
+    Server(Box<(Link, Option<ReadState>)>),
 }
 
 pub(crate) struct ViewerApp<S> {

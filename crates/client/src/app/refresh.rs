@@ -107,8 +107,14 @@ impl<S: FrameSource> ViewerApp<S> {
                     self.chosen_actions.push(Action::Numbers);
                 }
                 self.report(now, &model);
-                if let Some((text, is_trouble)) = self.banner(now, &model) {
-                    banner::show(&ctx, &text, is_trouble, self.room_at_bottom());
+                match self.banner(now, &model) {
+                    Some((text, true)) => {
+                        let takes_link = self.opens_volumes && model.banner().is_some();
+                        let room = self.room_at_bottom();
+                        banner::trouble(&ctx, &text, model.details().as_deref(), takes_link, room);
+                    }
+                    Some((text, false)) => banner::news(&ctx, &text, self.room_at_bottom()),
+                    None => {}
                 }
             }
             None => {
@@ -234,11 +240,13 @@ impl<S: FrameSource> ViewerApp<S> {
         let interval = self.refreshes.interval().filter(|_| is_active);
         let state = source.state();
         // Without a connection the round trip is unknown, and nothing arrives.
-        let is_connected = state == State::Connected;
+        let is_silent = state == State::Connected && stats.is_silent();
+        let is_connected = state == State::Connected && !is_silent;
         let round_trip = is_connected.then(|| micros(stats.rtt_micros)).flatten();
         OverlayModel {
             state,
             standing: refresh.standing,
+            silence: is_silent.then(|| Duration::from_micros(stats.silence_micros)),
             round_trip,
             frame_age: refresh.frame_age,
             turned_degrees: refresh.turned_degrees,

@@ -232,17 +232,30 @@ impl<S: FrameSource> ViewerApp<S> {
                 texts.rfind(|t| is_link(t)).cloned()
             });
             if let Some(text) = pasted {
-                self.paste(now, &text);
+                self.paste(ctx, now, window, &text);
             }
         }
         self.follow_state(ctx, now, window);
     }
 
-    fn paste(&mut self, now: Duration, link: &str) {
-        let read = state_of_link(link).map_err(|e| e.to_string());
+    /// A link of another server, or of this one when it is lost, connects and keeps camera and look. The state in
+    /// any other link is shown.
+    fn paste(&mut self, ctx: &egui::Context, now: Duration, window: Intrinsics, text: &str) {
+        let link = text.trim().parse::<Link>();
+        let is_present = |link: &Link| {
+            let present = self.options.link.as_ref().map(|present| present.fingerprint);
+            present == Some(link.fingerprint) && self.viewing.source().state() == State::Connected
+        };
+        if let Some(link) = link.as_ref().ok().filter(|link| self.opens_volumes && !is_present(link)) {
+            let state = self.saved_state(ctx, window).map(|state| ReadState { state, note: None });
+            self.wish = Some(AppWish::Server(Box::new((link.clone(), state))));
+            return;
+        }
+        let read = state_of_link(text).map_err(|e| e.to_string());
         match read.and_then(|state| state_from_link(&state).map_err(|e| e.to_string())) {
             Ok(read) => self.turn_to_state(read),
-            Err(_) if link.trim().parse::<Link>().is_ok() => self.tell(now, SERVER_LINK),
+            Err(_) if link.is_ok() && self.opens_volumes => self.tell(now, SAME_SERVER),
+            Err(_) if link.is_ok() => self.tell(now, ONE_SERVER),
             Err(problem) => self.tell(now, problem),
         }
     }
@@ -379,17 +392,25 @@ impl<S: FrameSource> ViewerApp<S> {
         let text = match self.link_to(state) {
             Some(link) => {
                 ctx.copy_text(link);
-                "a link to this view is in the clipboard; it gives no access to the server"
+                match self.options.volume_source {
+                    Some(_) => {
+                        "a link to this view is in the clipboard; `isinglass view` opens it on this computer"
+                    }
+                    None => "a link to this view is in the clipboard; it gives no access to the server",
+                }
             }
             None => "there is no server that a link could name",
         };
         self.tell(now, text);
     }
 
-    /// A link to the view for people who have access to the server.
+    /// A link to the view for people who have access to the server, or to the file where a window has opened that.
     pub(super) fn link_to(&self, state: SavedState) -> Option<String> {
-        // The path on a disk is no business of the recipient.
-        let volume = state.volume.map(SavedVolume::without_place);
+        let volume = match self.options.volume_source {
+            Some(_) => state.volume,
+            // The path on a server's disk is no business of the recipient.
+            None => state.volume.map(SavedVolume::without_place),
+        };
         Some(self.options.link.as_ref()?.of_state(&state_to_link(&SavedState { volume, ..state })))
     }
 }
@@ -405,7 +426,8 @@ pub(super) const THEMES: [(Theme, ThemePreference); 3] = [
 ];
 
 const STATE_WAITS: &str = "there is no connection to the server: the state is shown when there is one again";
-const SERVER_LINK: &str = "this link leads to a server: paste it on the page for another server or volume";
+const SAME_SERVER: &str = "this window is connected to that server already";
+const ONE_SERVER: &str = "this window stays with its server";
 /// How long a server may take to list the parts of its file after it lets a viewer in. It does so at once.
 const PARTS_PATIENCE: Duration = Duration::from_secs(3);
 /// How long a server may take to begin to read a part, and to describe it afterwards. It does both at once.

@@ -3,20 +3,51 @@
 use egui::{Align2, Color32, RichText, vec2};
 use isinglass_net::State;
 
-use super::style::{bright, pane};
+use super::style::{bright, named, pane};
 
-/// Shows news at the bottom, or trouble in amber.
-pub(crate) fn show(ctx: &egui::Context, text: &str, is_trouble: bool, room: egui::Rect) {
+/// Shows news at the bottom.
+pub(crate) fn news(ctx: &egui::Context, text: &str, room: egui::Rect) {
     let area = egui::Area::new(egui::Id::unique("banner"));
     let area = area.constrain_to(room).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
-    let (fill, color) = match is_trouble {
-        true => (Color32::from_rgba_unmultiplied(62, 48, 20, 235), Color32::from_rgb(245, 220, 165)),
-        false => (pane(ctx).fill, bright(ctx)),
-    };
     area.interactable(false).show(ctx, |ui| {
-        pane(ctx).fill(fill).show(ui, |ui| {
+        pane(ctx).show(ui, |ui| {
             ui.set_max_width((room.width() - 40.0).max(100.0));
-            ui.label(RichText::new(text).color(color).size(13.0));
+            ui.label(RichText::new(text).color(bright(ctx)).size(13.0));
+        });
+    });
+}
+
+/// Shows trouble at the bottom, in amber, with `details` to unfold. Where a window `takes_link`, a button pastes the
+/// link of a server that was started again.
+pub(crate) fn trouble(
+    ctx: &egui::Context,
+    text: &str,
+    details: Option<&str>,
+    takes_link: bool,
+    room: egui::Rect,
+) {
+    let color = Color32::from_rgb(245, 220, 165);
+    let area = egui::Area::new(egui::Id::unique("trouble"));
+    let area = area.constrain_to(room).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
+    area.show(ctx, |ui| {
+        pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
+            ui.set_max_width((room.width() - 40.0).clamp(100.0, 560.0));
+            ui.visuals_mut().override_text_color = Some(color);
+            ui.label(RichText::new(text).size(13.0));
+            if takes_link {
+                let button = egui::Button::new("Paste new link").fill(Color32::from_rgb(92, 72, 32));
+                let button = ui.add(button).on_hover_text("connects, and keeps camera and look");
+                named(&button, egui::Role::Button, "Paste new link");
+                if button.clicked() {
+                    ctx.send_viewport_cmd(egui::ViewportCommand::RequestPaste);
+                }
+            }
+            if let Some(details) = details {
+                let shown = ui.collapsing("Details", |ui| {
+                    ui.add(egui::Label::new(RichText::new(details).monospace().size(11.0)).wrap());
+                });
+                named(&shown.header_response, egui::Role::Button, "Details");
+            }
         });
     });
 }

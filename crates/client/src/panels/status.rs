@@ -17,6 +17,8 @@ pub struct OverlayModel {
     pub state: State,
     /// How the picture relates to the server's.
     pub standing: Standing,
+    /// How long a connected server has not answered, if it should have.
+    pub silence: Option<Duration>,
     /// Round-trip time of the connection.
     pub round_trip: Option<Duration>,
     /// Time since the camera was last at the pose of the frame on screen.
@@ -78,11 +80,23 @@ impl OverlayModel {
     /// One line about trouble of the connection. The last picture stays in use.
     pub fn banner(&self) -> Option<String> {
         match &self.state {
-            State::Connected | State::Connecting { .. } => None,
+            State::Connected => {
+                let seconds = self.silence?.as_secs();
+                Some(format!("No answer from the server for {seconds} s; the last picture stays usable."))
+            }
+            State::Connecting { .. } => None,
             State::Reconnecting { problem, .. } => {
                 Some(format!("Reconnecting; the last picture stays usable. {}", sentence(problem)))
             }
             State::Refused(problem) => Some(format!("Disconnected. {}", sentence(problem))),
+        }
+    }
+
+    /// What only an expert reads of the trouble.
+    pub fn details(&self) -> Option<String> {
+        match &self.state {
+            State::Reconnecting { problem, .. } | State::Refused(problem) => problem.details(),
+            State::Connected | State::Connecting { .. } => None,
         }
     }
 }
@@ -171,8 +185,9 @@ pub(crate) fn show(
 }
 
 /// A dot in the colour of the connection's state.
-pub(crate) fn connection_dot(ui: &mut Ui, state: &State) {
+pub(crate) fn connection_dot(ui: &mut Ui, state: &State, is_silent: bool) {
     let standing = match state {
+        State::Connected if is_silent => Standing::Offline,
         State::Connected => Standing::Exact,
         State::Connecting { .. } => Standing::Waiting,
         State::Reconnecting { .. } | State::Refused(_) => Standing::Offline,
@@ -180,7 +195,7 @@ pub(crate) fn connection_dot(ui: &mut Ui, state: &State) {
     let color = color(ui, standing);
     let (dot, response) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
     ui.painter().circle_filled(dot.center(), 4.0, color);
-    response.on_hover_text(state_word(state));
+    response.on_hover_text(if is_silent { "no answer" } else { state_word(state) });
 }
 
 fn color(ui: &Ui, standing: Standing) -> Color32 {
@@ -235,6 +250,7 @@ mod tests {
         OverlayModel {
             state: State::Connected,
             standing: Standing::Moving,
+            silence: None,
             round_trip: Some(Duration::from_millis(201)),
             frame_age: Some(Duration::from_millis(268)),
             turned_degrees: Some(7.94),
@@ -302,6 +318,8 @@ mod tests {
     #[test]
     fn the_banner_is_one_line_and_only_when_needed() {
         assert_eq!(model().banner(), None);
+        let silent = OverlayModel { silence: Some(Duration::from_millis(2400)), ..model() };
+        assert!(silent.banner().unwrap().contains("for 2 s"));
         let problem = ConnectError::NoAnswer { host: "render-01".into(), port: 4433 };
         let reconnecting = State::Reconnecting { since_micros: 0, attempt: 2, problem: problem.clone() };
         for state in [reconnecting, State::Refused(problem)] {

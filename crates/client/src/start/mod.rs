@@ -15,7 +15,7 @@ use egui::{Align2, RichText};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ClientSession;
 use isinglass_formats::{Content, LoadRequest, ReadState, RecentEntry, RecentPlace, content_of, read_state};
-use isinglass_net::{Clock, LinkStats, ReceivedFrame, State, Talking};
+use isinglass_net::{Clock, Link, LinkStats, ReceivedFrame, State, Talking};
 
 use self::opening::{Opened, Opening, later};
 use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
@@ -132,6 +132,7 @@ impl StartWindow {
                     AppWish::StartPage => self.show_page(),
                     AppWish::Volume(request) => self.open(request),
                     AppWish::State(read) => self.open_state(Ok(read)),
+                    AppWish::Server(server) => self.connect(&server.0, server.1),
                 }
                 ctx.request_repaint();
             }
@@ -147,16 +148,25 @@ impl StartWindow {
 
     fn fulfil(&mut self, wish: PageWish, ctx: &egui::Context) {
         match wish {
-            PageWish::Connect(link) => match Opening::connect(&link, &self.clock, &self.wake) {
-                Ok(opening) => self.opening = Some(opening),
-                Err(problem) => self.problem = Some(problem),
-            },
+            PageWish::Connect(link) => self.connect(&link, None),
             PageWish::Open(request) => self.open(request),
             PageWish::OpenState(path) => self.chosen = Background::run(&self.wake, move || state_in(&path)),
             PageWish::Cancel => self.opening = None,
             PageWish::Back => self.is_page_shown = false,
             PageWish::Close => self.close(),
             PageWish::Forget(number) => self.recent.forget(number, ctx),
+        }
+    }
+
+    /// Begins to connect, to show the volume as the link's own state says, or else `state`.
+    fn connect(&mut self, link: &Link, state: Option<ReadState>) {
+        self.problem = None;
+        let state = state.filter(|_| link.state.is_none());
+        match Opening::connect(link, &self.clock, &self.wake) {
+            Ok(opening) => {
+                self.opening = Some(state.into_iter().fold(opening, Opening::seen_as));
+            }
+            Err(problem) => self.problem = Some(problem),
         }
     }
 

@@ -412,7 +412,7 @@ impl<S: FrameSource> Viewing<S> {
         picture: Intrinsics,
     ) -> Standing {
         let Some(frame) = frame else { return Standing::Waiting };
-        let is_connected = self.source.state() == State::Connected;
+        let is_connected = self.source.state() == State::Connected && !self.source.stats().is_silent();
         if is_connected && self.is_settled(now, frame, (pose, full)) {
             if full == picture && frame.is_exact { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {

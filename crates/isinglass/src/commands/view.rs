@@ -10,8 +10,10 @@ use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::{LoadRequest, Remembered, SavedState, Selection, load_transfer, write_whole};
-use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError};
+use isinglass_formats::{
+    LoadRequest, Remembered, SavedState, Selection, load_transfer, state_from_link, write_whole,
+};
+use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, state_of_link};
 
 use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
 use crate::args::{
@@ -74,6 +76,8 @@ pub(crate) struct ViewerArgs {
 enum Target {
     Server(Link),
     Volume(String),
+    /// The state in a link that a window has copied, which names a volume of this machine.
+    View(String),
     Input,
 }
 
@@ -86,10 +90,11 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     };
     let of_link = match &target {
         Some(Target::Server(link)) => link.state.as_deref(),
+        Some(Target::View(state)) => Some(state.as_str()),
         _ => None,
     };
     let seen = args.state.read_or(of_link, given)?;
-    let target = match (target, seen.link()) {
+    let target = match (target.filter(|target| !matches!(target, Target::View(_))), seen.link()) {
         (None, Some(link)) => Some(Target::Server(link.context("the link of the state's volume")?)),
         (target, _) => target,
     };
@@ -158,7 +163,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
             Some(seen.volume(&volume)?.volume_source()?.request(limit))
         }
-        Some(Target::Input) | None => None,
+        Some(Target::Input | Target::View(_)) | None => None,
     };
     match request {
         Some(request) => {
@@ -207,7 +212,8 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     });
     let client = Client::connect(link, ClientOptions { wake, ..ClientOptions::default() })?;
     if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
-        bail!("{}: {problem}", link.place());
+        let details = problem.details().map_or_else(String::new, |details| format!(" ({details})"));
+        bail!("{}: {problem}{details}", link.place());
     }
     Ok((client, waker))
 }
@@ -224,7 +230,10 @@ fn parse_target(text: &str) -> Result<Target, String> {
         return Ok(Target::Input);
     }
     if text.contains("://") {
-        return text.parse().map(Target::Server).map_err(|e: LinkError| e.to_string());
+        return match text.parse() {
+            Ok(link) => Ok(Target::Server(link)),
+            Err(e) => view_of_file(text).map(Target::View).ok_or_else(|| LinkError::to_string(&e)),
+        };
     }
     if text.starts_with("builtin:") || Path::new(text).exists() {
         return Ok(Target::Volume(text.to_owned()));
@@ -232,6 +241,13 @@ fn parse_target(text: &str) -> Result<Target, String> {
     Err(format!(
         "there is no file '{text}'; expected a volume, or a link as `serve` prints it: isinglass://…"
     ))
+}
+
+/// The state in a link to a view of a volume of this machine.
+fn view_of_file(link: &str) -> Option<String> {
+    let state = state_of_link(link).ok()?;
+    let volume = state_from_link(&state).ok()?.state.volume?;
+    (volume.source.is_some() && volume.link().is_none()).then_some(state)
 }
 
 /// Most bytes that are read from standard input; a state inside has a limit of its own.

@@ -395,8 +395,10 @@ async fn watch_link(shared: &Shared, connection: &Connection) {
         }
         let seconds = (now - before_at).as_secs_f64();
         let frames_per_second = shared.chunks().frames_per_second(shared.clock.now_micros());
+        let mut has_changed = false;
         shared.status.update(|status| {
             let link = &mut status.stats;
+            let was_silent = link.is_silent();
             if seconds > 0.0 {
                 let rate = (stats.udp_rx.bytes - before.udp_rx.bytes) as f64 / seconds;
                 // A mean over about a second.
@@ -407,7 +409,11 @@ async fn watch_link(shared: &Shared, connection: &Connection) {
             link.rtt_micros = stats.path.rtt.as_micros() as u64;
             link.lost_packets = stats.path.lost_packets;
             link.silence_micros = (now - heard_at).as_micros() as u64;
+            has_changed = link.is_silent() != was_silent;
         });
+        if has_changed {
+            (shared.wake)();
+        }
         if now - heard_at > SILENCE_LIMIT {
             return;
         }

@@ -30,8 +30,8 @@ pub enum ConnectError {
     },
     /// The certificate is not that of the link.
     #[error(
-        "the certificate at {} is not the link's (expected {expected}, found {found}): the server was \
-         started again and printed a new link, or someone is in between",
+        "the certificate at {} is not the link's: the server was started again and printed a new link, or \
+         someone is in between",
         place_of(host, *port)
     )]
     Certificate {
@@ -71,6 +71,16 @@ pub enum ConnectError {
 }
 
 impl ConnectError {
+    /// What only an expert compares: the fingerprints of certificates.
+    pub fn details(&self) -> Option<String> {
+        match self {
+            Self::Certificate { expected, found, .. } => {
+                Some(format!("expected the certificate {expected}, found {found}"))
+            }
+            _ => None,
+        }
+    }
+
     /// Whether a retry without changes on this side may succeed.
     pub fn is_temporary(&self) -> bool {
         match self {

@@ -148,6 +148,16 @@ pub struct LinkStats {
     pub server: ServerStats,
 }
 
+impl LinkStats {
+    /// Whether the server of a connection has not answered for more than two keep-alives.
+    pub fn is_silent(&self) -> bool {
+        self.silence_micros > SILENT_MICROS + self.rtt_micros
+    }
+}
+
+/// Silence that a person should know of, beyond a round trip, µs.
+const SILENT_MICROS: u64 = 1_200_000;
+
 /// A handle on the connection. Dropping it says goodbye within a quarter of a second.
 pub struct Client {
     shared: Arc<Shared>,

@@ -55,3 +55,52 @@ fn nothing_is_on_its_way_that_nobody_works_on() {
     rest(&mut w);
     assert!(is_said(&w, "the picture waits until connected again") && !is_said(&w, "the server renders the"));
 }
+
+#[test]
+fn a_server_that_does_not_answer_is_offline_before_the_connection_is_lost() {
+    let mut w = window([900.0, 700.0]);
+    let offline = |w: &Harness<'_, ViewerApp<HereSource>>| {
+        (
+            w.query_by_label("offline").is_some(),
+            w.query_by_label_contains("No answer from the server").is_some(),
+        )
+    };
+    for (silence_micros, is_offline) in [(900_000, false), (2_300_000, true), (0, false)] {
+        w.state().viewing.source().here().stats.silence_micros = silence_micros;
+        rest(&mut w);
+        assert_eq!(offline(&w), (is_offline, is_offline), "{silence_micros} us");
+    }
+}
+
+#[test]
+fn fingerprints_are_behind_details_and_a_new_link_can_be_pasted() {
+    let mut w = window([900.0, 700.0]);
+    w.state_mut().leave_volumes_to_others();
+    let [expected, found] = ["ab", "cd"].map(|byte| format!("sha256:{}", byte.repeat(32)));
+    let [of_link, of_server] = [&expected, &found].map(|text| text.parse().unwrap());
+    let problem =
+        ConnectError::Certificate { host: "far".into(), port: 4433, expected: of_link, found: of_server };
+    assert!(w.query_by_label("Paste new link").is_none());
+    w.state().viewing.source().here().state = State::Refused(problem);
+    rest(&mut w);
+    assert!(w.query_by_label_contains("is not the link's").is_some());
+    assert!(w.query_by_label_contains(&found).is_none());
+    w.get_by_label("Details").click();
+    rest(&mut w);
+    assert!(w.query_by_label_contains(&expected).is_some() && w.query_by_label_contains(&found).is_some());
+    w.get_by_label("Paste new link").click();
+    w.step();
+    let commands = &w.output().viewport_output[&egui::ViewportId::ROOT].commands;
+    assert!(commands.contains(&egui::ViewportCommand::RequestPaste), "{commands:?}");
+    w.event(Event::Paste(format!("isinglass://far:4433/#token={}&cert={found}", "0".repeat(32))));
+    w.step();
+    match w.state_mut().take_wish() {
+        Some(AppWish::Server(server)) => {
+            assert_eq!(server.0.fingerprint, of_server);
+            let seen = server.1.unwrap().state;
+            let look = (*w.state().viewing.look().unwrap()).clone();
+            assert!(seen.look == Some(look) && seen.camera.is_some());
+        }
+        _ => panic!("the link connects"),
+    }
+}

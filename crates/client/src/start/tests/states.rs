@@ -164,3 +164,30 @@ fn what_a_state_needs_and_is_not_there_is_named_and_the_page_stays() {
         w.query_all_by_label_contains("seen.toml: line 2").next().is_some()
     });
 }
+
+#[test]
+fn a_link_that_is_pasted_over_the_picture_connects_and_keeps_camera_and_look() {
+    let (_first, links) = porter(&Builtin::Shells.volume(16));
+    let (_second, others) = porter(&Builtin::Shells.volume(16));
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    stage.paste(&links[0].to_string());
+    press(&mut stage.window, Key::Enter);
+    until(&mut stage.window, "the server", is_shown);
+    let first_view = stage.window.state().app.seen().unwrap();
+    press(&mut stage.window, Key::ArrowLeft);
+    press(&mut stage.window, Key::M);
+    let seen = stage.window.state().app.seen().unwrap();
+    assert!(seen.0 != first_view.0 && seen.1 != first_view.1, "control: it is another view");
+    stage.window.event(Event::Paste(others[0].to_string()));
+    stage.window.run_steps(2);
+    let place = others[0].place();
+    until(&mut stage.window, "the other server", |w| w.state().opening.is_none());
+    until(&mut stage.window, "its list", |_| stage.folder.path().join("recent.toml").exists());
+    assert!(stage.list().contains(&format!("port = {}", others[0].port)) || stage.list().contains(&place));
+    assert_eq!(stage.window.state().app.seen().unwrap(), seen);
+    // A link to the server that is shown connects to nothing.
+    stage.window.event(Event::Paste(others[1].to_string()));
+    stage.window.run_steps(2);
+    assert!(stage.window.state().opening.is_none());
+    assert!(stage.window.state().app.notice().contains("connected to that server already"));
+}
