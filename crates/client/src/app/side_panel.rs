@@ -100,7 +100,7 @@ fn section(ui: &mut Ui, title: &str, is_open: bool, content: impl FnOnce(&mut Ui
 
 fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     let LookSettings { look, frame_size, methods, method, stereo, .. } = settings;
-    egui::Grid::new("frames").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+    ui.vertical(|ui| {
         row(ui, "layers per pixel", "more follow a turn better, and take more of the network", |ui| {
             let slider = egui::Slider::new(&mut look.k, 1..=MAX_K as u8).update_while_editing(false);
             ui.add(slider.custom_parser(controls::reader(ui)))

@@ -384,8 +384,8 @@ impl TransferEditor {
         let reach = scale.span() * 0.5;
         let mut shift = level - start;
         ui.horizontal(|ui| {
-            ui.add_sized([LABEL_WIDTH, 0.0], egui::Label::new("position"));
-            ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
+            controls::name_cell(ui, "position");
+            controls::fill_row(ui);
             let slider = ui.add(controls::slider(ui, &mut shift, -reach..=reach, |v| format_in(v, window)));
             named_number(&slider, egui::Role::Slider, "shift of the whole curve", shift);
             slider.on_hover_text("moves the whole curve along the values");
@@ -403,8 +403,8 @@ impl TransferEditor {
             ("brightness", &mut tone.brightness, "of all colours"),
         ] {
             ui.horizontal(|ui| {
-                ui.add_sized([LABEL_WIDTH, 0.0], egui::Label::new(name));
-                ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
+                controls::name_cell(ui, name);
+                controls::fill_row(ui);
                 let slider = controls::slider(ui, factor, FACTORS, |v| format!("{v:.2}"));
                 let slider = ui.add(slider.logarithmic(true).suffix(" ×"));
                 named_number(&slider, egui::Role::Slider, &format!("{name} of the whole curve"), *factor);
@@ -557,8 +557,6 @@ fn number(
 
 /// Factors of opacity and brightness.
 const FACTORS: std::ops::RangeInclusive<f32> = 0.1..=10.0;
-/// Width of the column of names, points.
-const LABEL_WIDTH: f32 = 64.0;
 /// Lists of presets and colour maps need no scrolling, points.
 const LIST_HEIGHT: f32 = 460.0;
 
