@@ -122,3 +122,24 @@ pub(crate) fn emblem(painter: &egui::Painter, center: egui::Pos2, scale: f32, is
 
 /// Size of icons, points.
 pub(crate) const ICON_SIZE: f32 = 16.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_signs_of_controls_have_glyphs() {
+        let mut h = egui_kittest::Harness::new_ui_state(
+            |ui, missing: &mut String| {
+                install_fonts(ui.ctx());
+                let font = egui::FontId::proportional(13.0);
+                let has = |c: char| ui.ctx().fonts_mut(|fonts| fonts.has_glyph(&font, c));
+                // The copy button of the colour picker, and signs of rows and values.
+                *missing = "📋−×°–…●\u{10fffd}".chars().filter(|c| !has(*c)).collect();
+            },
+            String::new(),
+        );
+        h.run();
+        assert_eq!(h.state(), "\u{10fffd}", "the control has none");
+    }
+}
