@@ -170,7 +170,8 @@ fn two_boxes() {
         let plain = 0.25 * (linear_from_srgb(0.3) + linear_from_srgb(0.8));
         let exact = srgb_from_linear(plain * exposure(&scene, &ramp(200.0)));
         assert!((middle(&scene) - exact).abs() < 0.04);
-        assert!(exact > 0.85, "the brightest averages fill the range: {exact}");
+        // Across, the way through a box is longer and brighter still.
+        assert!(exact > 1.4 * srgb_from_linear(plain) && exact < 1.0, "averages fill the range: {exact}");
     }
     // Order matters with over, and there alone.
     let mut grey = ramp(200.0);
