@@ -17,7 +17,7 @@ use crate::panels::gallery::Gallery;
 use crate::panels::state_files::{StateFiles, StateWish};
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
-use crate::panels::{clip, light, surfaces};
+use crate::panels::{clip, color_well, light, surfaces};
 use crate::view::viewing::FrameSize;
 
 /// What the panel shows and changes beside the transfer function.
@@ -72,12 +72,11 @@ pub(crate) fn show(
                     entry.set(&mut settings.look, scale);
                 }
             });
-            let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
-            section(ui, "Transfer function", true, |ui| editor.show(ui, scale, surfaces.as_slice()));
             if settings.look.mode == Mode::Iso {
-                // Below the rows that are always there, so that none of them moves under the pointer.
                 section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
             }
+            let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
+            section(ui, "Transfer function", true, |ui| editor.show(ui, scale, surfaces.as_slice()));
             section(ui, "Light", false, |ui| {
                 light::show(ui, &mut settings.look, settings.world_from_view);
             });
@@ -165,8 +164,7 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
         for (name, color) in [("black", [0; 3]), ("grey", [58, 60, 66]), ("white", [255; 3])] {
             ui.selectable_value(&mut aids.background, color, name);
         }
-        let color = ui.color_edit_button_srgb(&mut aids.background);
-        color.widget_info(|| egui::WidgetInfo::labeled(egui::Role::ColorWell, true, "background colour"));
+        color_well::show(ui, &mut aids.background, "background colour");
     });
     ui.horizontal(|ui| {
         ui.label("theme");

@@ -104,7 +104,8 @@ mod tests {
             format: &format,
         };
         let red = |mode, x| of(mode).color_at(x).r();
-        assert_eq!([red(Mode::Composite, 0.5), red(Mode::Mip, 0.5), red(Mode::Mip, 1.0)], [255, 128, 255]);
+        assert_eq!([red(Mode::Composite, 0.5), red(Mode::Mip, 1.0)], [255; 2]);
+        assert!(red(Mode::Mip, 0.5).abs_diff(128) <= 1, "a projection is dim where matter is thin");
         assert_eq!(of(Mode::Mip).in_words(), "legend: colours of the values from -100 to 300 HU");
         for size in [[900.0, 600.0], [240.0, 150.0]] {
             let picture = Rect::from_min_size(pos2(30.0, 40.0), size.into());

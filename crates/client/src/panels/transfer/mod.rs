@@ -17,6 +17,7 @@ use isinglass_formats::{ColorMap, ImportedTransfer, import_transfers, transfer_t
 use self::curve::{Curve, Marks, Tone};
 use self::history::History;
 use self::plot::{Grip, LEAST_WINDOW};
+use super::color_well;
 use super::controls::{self, named_number};
 use super::file_field::{FileField, FileOutcome};
 use super::style::named;
@@ -351,11 +352,10 @@ impl TransferEditor {
         of_value.on_hover_text("value of the selected colour stop");
         let shown = self.curve.tone.of_color(self.curve.marks.stops[index].is);
         let mut rgb = plot::color32(shown).to_array()[..3].try_into().unwrap_or([0; 3]);
-        let button = ui.color_edit_button_srgb(&mut rgb);
-        named(&button, egui::Role::ColorWell, "colour of the stop");
+        let is_recolored = color_well::show(ui, &mut rgb, "colour of the stop");
         if ui.button("remove").clicked() {
             self.remove_stop(index);
-        } else if button.changed() {
+        } else if is_recolored {
             self.change(self.curve.with_color(index, rgb.map(|c| f32::from(c) / 255.0)));
         } else if value != before {
             self.change(self.curve.with_stop_at(index, value));

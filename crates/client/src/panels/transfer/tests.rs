@@ -280,7 +280,7 @@ fn presets_and_colour_maps_are_one_step_each() {
 #[test]
 fn a_point_has_numbers_and_a_stop_has_a_colour() {
     let mut h = harness("ct");
-    let below = h.get_by_label("level").rect();
+    let below = h.get_by_role_and_label(egui::Role::SpinButton, "level").rect();
     assert!(h.query_by_label("colour of the stop").is_none());
     let at = point(&h, 5);
     drag(&mut h, at, vec2(0.0, 0.0));
@@ -293,7 +293,11 @@ fn a_point_has_numbers_and_a_stop_has_a_colour() {
         (after.points[4].is, after.points[4].x, &after.stops),
         ([0.5], before.points[4].x, &before.stops)
     );
-    assert_eq!(h.get_by_label("level").rect(), below, "no row moves under the pointer");
+    assert_eq!(
+        h.get_by_role_and_label(egui::Role::SpinButton, "level").rect(),
+        below,
+        "no row moves under the pointer"
+    );
     click(&mut h, "remove");
     assert_eq!(marks_of(&h).points.len(), before.points.len() - 1);
     // A stop.
@@ -303,7 +307,7 @@ fn a_point_has_numbers_and_a_stop_has_a_colour() {
     assert!(moved.stops[2].x > before.stops[2].x && moved.stops[2].is == before.stops[2].is);
     assert_eq!(moved.points.len(), before.points.len() - 1, "no point moves or comes");
     assert!(h.query_by_label("colour of the stop").is_some());
-    assert_eq!(h.get_by_label("level").rect(), below);
+    assert_eq!(h.get_by_role_and_label(egui::Role::SpinButton, "level").rect(), below);
     let free = stop(&h, 8) + vec2(22.0, 0.0);
     drag(&mut h, free, vec2(0.0, 0.0));
     assert_eq!(marks_of(&h).stops.len(), before.stops.len() + 1);
