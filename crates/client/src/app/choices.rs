@@ -117,9 +117,15 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     /// Gives a volume the person's light behind its first frame, unless it came with a light. So the first frame waits
-    /// for no shade.
+    /// for no shade. The server's time must be known by then.
     fn light_once(&mut self, now: Duration) {
-        if std::mem::replace(&mut self.keeper.is_lit, true) {
+        if self.keeper.is_lit {
+            return;
+        }
+        let Some(time) = self.viewing.time_of_frame() else { return };
+        self.keeper.is_lit = true;
+        // On a slow server every edit would wait for its shade at rest. There, the person decides.
+        if time > LONGEST_FRAME && self.keeper.chosen.light.is_none() {
             return;
         }
         let Some(look) = self.viewing.look().filter(|look| look.lighting == Lighting::default()) else {
@@ -159,6 +165,8 @@ fn window_size(ctx: &egui::Context) -> Option<[u32; 2]> {
     })
 }
 
+/// The longest time of a server for a whole frame with which ambient occlusion is on from the first.
+const LONGEST_FRAME: Duration = Duration::from_secs(1);
 /// Choices are written when none has changed for this time.
 const WRITE_AFTER: Duration = Duration::from_secs(1);
 

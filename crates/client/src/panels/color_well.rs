@@ -30,7 +30,7 @@ fn controls(ui: &mut Ui, rgb: &mut [u8; 3]) -> bool {
     ui.set_width(POPUP_WIDTH);
     let before = *rgb;
     // Grey has no hue, and black no saturation: what the sliders had is kept.
-    let id = ui.id().with("colour");
+    let id = ui.scope_id().with("colour");
     let kept = ui.data(|data| data.get_temp::<HsvaGamma>(id)).filter(|kept| bytes_of(*kept) == *rgb);
     let mut color = kept.unwrap_or_else(|| Hsva::from_srgb(*rgb).into());
     let (mut hue, mut saturation, mut value) = (color.h * 360.0, color.s * 100.0, color.v * 100.0);

@@ -404,6 +404,13 @@ impl<S: FrameSource> Viewing<S> {
         }
     }
 
+    /// The server's time for a whole frame of the picture, once it is known.
+    pub fn time_of_frame(&self) -> Option<Duration> {
+        let (camera, _) = self.last.as_ref()?;
+        let whole = self.frame_size.frame_for(camera.intrinsics, u32::MAX);
+        Some(Duration::from_micros((self.micros_per_list? * whole.num_pixels() as f32) as u64))
+    }
+
     fn standing(
         &self,
         now: Duration,

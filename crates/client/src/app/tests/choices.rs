@@ -1,6 +1,7 @@
 //! What the window remembers, and the light and legend that it begins with.
 
 use isinglass_core::volume::Lighting;
+use isinglass_core::wire::ServerStats;
 use isinglass_formats::Remembered;
 
 use super::*;
@@ -13,7 +14,19 @@ fn remembering(file: &std::path::Path, choices: Remembered) -> Harness<'static, 
         frame_size: SMALL,
         ..WindowOptions::default()
     };
-    window_with(options, HereSource::new(), [900.0, 700.0], 1.0)
+    window_with(options, fast(), [900.0, 700.0], 1.0)
+}
+
+/// A server that reports its times.
+fn timed(generate_micros: u64) -> HereSource {
+    let source = HereSource::new();
+    let stats = ServerStats { frame: FrameId(1), generate_micros, ..ServerStats::default() };
+    source.here().stats.server = stats;
+    source
+}
+
+fn fast() -> HereSource {
+    timed(10_000)
 }
 
 /// Waits for a file that holds what is expected. Threads write it.
@@ -65,8 +78,16 @@ fn choices_are_kept_and_reset() {
         frame_size: SMALL,
         ..WindowOptions::default()
     };
-    let given = window_with(options, HereSource::new(), [900.0, 700.0], 1.0);
+    let given = window_with(options, fast(), [900.0, 700.0], 1.0);
     assert_eq!(lighting(&given), Lighting::default());
+    // A slow server gets no shade that nobody asked for.
+    let options = WindowOptions {
+        choices_file: Some(folder.path().join("other.toml")),
+        frame_size: SMALL,
+        ..WindowOptions::default()
+    };
+    let slow = window_with(options, timed(3_000_000), [900.0, 700.0], 1.0);
+    assert_eq!(lighting(&slow), Lighting::default());
     w.get_by_label("View").scroll_to_me();
     rest(&mut w);
     w.get_by_label("View").click();
