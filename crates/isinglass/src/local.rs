@@ -108,6 +108,7 @@ pub(crate) fn services(backend: BackendChoice, max_memory: u64, first: Option<Fi
     Services {
         servers: Arc::new(Locals { backend, opened, max_memory, first }),
         recent_file: state_folder().map(|folder| folder.join("recent.toml")),
+        has_system_dialog: true,
         calendar: || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs()),
     }
 }

@@ -75,6 +75,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     self.do_part(now, wish);
                 }
                 Action::SaveState => self.do_state(ctx, now, StateWish::Save),
+                Action::OpenFile if self.opens_volumes => self.wish = Some(AppWish::ChooseFile),
                 Action::OpenFile => self.open_dialog.open(ctx),
                 Action::CopyLink => self.do_state(ctx, now, StateWish::CopyLink),
                 Action::Help => self.shows_help = !self.shows_help,

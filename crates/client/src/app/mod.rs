@@ -4,7 +4,8 @@
 mod actions;
 mod bars;
 mod choices;
-mod open_dialog;
+mod icon_strip;
+pub(crate) mod open_dialog;
 pub(crate) mod options;
 mod picture;
 mod refresh;
@@ -14,7 +15,7 @@ pub(crate) mod side_panel;
 mod state;
 mod state_part;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -39,6 +40,7 @@ use crate::paint::picture::PictureStatus;
 use crate::paint::stereo::Stereo;
 use crate::paint::view_aids::ViewAids;
 use crate::panels::gallery::Gallery;
+use crate::panels::hints::Hints;
 use crate::panels::parts_bar::PartsBar;
 use crate::panels::probe::ValueProbe;
 use crate::panels::screenshots::Screenshots;
@@ -50,6 +52,7 @@ use crate::view::local_servers::LocalServers;
 use crate::view::quality_control::QualityControl;
 use crate::view::refresh_meter::RefreshMeter;
 use crate::view::viewing::{Standing, Viewing};
+use crate::view::waker_of;
 
 /// What is known of a source of frames.
 #[derive(Default)]
@@ -68,6 +71,8 @@ pub(crate) struct Origin {
 pub(crate) enum AppWish {
     /// Show the start page.
     StartPage,
+    /// Let the person choose a file.
+    ChooseFile,
     /// Open a volume.
     Volume(LoadRequest),
     /// Open the volume of a state.
@@ -120,6 +125,8 @@ pub(crate) struct ViewerApp<S> {
     opens_volumes: bool,
     window: Option<Intrinsics>,
     shows_help: bool,
+    help_search: String,
+    pub(crate) hints: Hints,
     is_look_open: bool,
     pointer: Pointer,
     probe: ValueProbe,
@@ -184,6 +191,8 @@ impl<S: FrameSource> ViewerApp<S> {
             opens_volumes: false,
             window: None,
             shows_help: false,
+            help_search: String::new(),
+            hints: Hints::default(),
             is_look_open: shows_panel,
             pointer: Pointer::default(),
             probe: ValueProbe::default(),
@@ -236,10 +245,24 @@ impl<S: FrameSource> ViewerApp<S> {
         self.open_dialog.offer_volumes(servers, held, folder);
     }
 
-    /// Whether a key closes the window. Where nothing is shown, no other key does anything.
-    pub(crate) fn take_quit(&self, ctx: &egui::Context) -> bool {
-        let take = |i: &mut egui::InputState| self.options.bindings.take_actions(&mut i.events, Focus::Text);
-        ctx.input_mut(take).contains(&Action::Quit)
+    /// The actions of keys where nothing is shown.
+    pub(crate) fn take_page_actions(&self, ctx: &egui::Context) -> Vec<Action> {
+        ctx.input_mut(|i| self.options.bindings.take_actions(&mut i.events, Focus::Text))
+    }
+
+    /// Opens the list of files over the picture.
+    pub(crate) fn open_file_dialog(&mut self, ctx: &egui::Context) {
+        self.open_dialog.open(ctx);
+    }
+
+    /// Opens a file of a state, or of colours and opacities.
+    pub(crate) fn open_any(&mut self, path: PathBuf, ctx: &egui::Context) {
+        self.state_files.open_any(path, &waker_of(ctx));
+    }
+
+    /// Colour behind the volume, linear.
+    pub(crate) fn background(&self) -> [f32; 3] {
+        self.aids.linear_background()
     }
 
     pub(crate) fn warm_up(&self) {

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use egui::{Align2, Context, Key, Modifiers, RichText, vec2};
+use egui::{Align2, Context, Key, Modifiers, vec2};
 
-use crate::panels::browser::{Browser, Chosen};
+use crate::panels::browser::{Browser, Chosen, Volumes};
 use crate::view::local_servers::LocalServers;
 use crate::view::waker_of;
 
@@ -42,27 +42,39 @@ impl OpenDialog {
 
     /// Shows the dialog if it is open; returns the file to open.
     pub(crate) fn show(&mut self, ctx: &Context) -> Option<Chosen> {
-        let browser = self.browser.as_mut().filter(|_| self.is_open)?;
-        let room = ctx.content_rect().size() - vec2(60.0, 110.0);
-        let (width, height) = (room.x.clamp(200.0, 640.0), room.y.clamp(120.0, 480.0));
-        let window =
-            egui::Window::new(RichText::new("Open a file").size(14.0)).id(egui::Id::unique("open a file"));
-        let window = window.anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0)).resizable(false).collapsible(false);
-        let shown = window.open(&mut self.is_open).show(ctx, |ui| {
-            ui.set_width(width);
-            ui.set_height(height);
-            let volumes = self.volumes.as_ref().map(|(servers, held)| (servers, *held));
-            browser.show(ui, volumes, height)
-        });
-        let chosen = shown.and_then(|shown| shown.inner).flatten();
-        if chosen.is_some() || ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape)) {
-            self.is_open = false;
-        }
-        chosen
+        let browser = self.browser.as_mut()?;
+        let volumes = self.volumes.as_ref().map(|(servers, held)| (servers, *held));
+        file_window(ctx, &mut self.is_open, browser, volumes)
     }
 
     #[cfg(test)]
     pub(crate) fn begin_at(&mut self, folder: &Path) {
         self.folder = Some(folder.to_owned());
     }
+}
+
+/// Shows a list of files over the window while it is open; returns the file to open.
+pub(crate) fn file_window(
+    ctx: &Context,
+    is_open: &mut bool,
+    browser: &mut Browser,
+    volumes: Option<Volumes<'_>>,
+) -> Option<Chosen> {
+    if !*is_open {
+        return None;
+    }
+    let room = ctx.content_rect().size() - vec2(60.0, 110.0);
+    let (width, height) = (room.x.clamp(200.0, 640.0), room.y.clamp(120.0, 480.0));
+    let window = egui::Window::new("Open a file").id(egui::Id::unique("open a file"));
+    let window = window.anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0)).resizable(false).collapsible(false);
+    let shown = window.open(is_open).show(ctx, |ui| {
+        ui.set_width(width);
+        ui.set_height(height);
+        browser.show(ui, volumes, height)
+    });
+    let chosen = shown.and_then(|shown| shown.inner).flatten();
+    if chosen.is_some() || ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape)) {
+        *is_open = false;
+    }
+    chosen
 }

@@ -14,6 +14,7 @@ use super::{ViewerApp, is_free};
 use crate::input::bindings::Action;
 use crate::input::camera_controls::ControlInput;
 use crate::paint::clip_editor;
+use crate::panels::hints::Hint;
 use crate::panels::status::{OverlayModel, ViewTime};
 use crate::panels::{banner, first_page, help, status, style};
 use crate::view::frame_source::FrameSource;
@@ -26,7 +27,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let now = Duration::from_micros(self.clock.now_micros());
         let elapsed = now.saturating_sub(self.last_refresh);
         self.last_refresh = now;
-        style::install_fonts(&ctx);
+        style::install(&ctx);
         self.show_bars(ui, now);
         self.set_modes(now);
         let rect = self.room;
@@ -50,6 +51,12 @@ impl<S: FrameSource> ViewerApp<S> {
         let free = |at| is_free(&ctx, rect, at);
         let mut input =
             self.pointer.control_input(&self.options.bindings, &events, rect, ctx.pixels_per_point(), free);
+        if input.orbit != [0.0; 2] {
+            self.hints.note(Hint::Turn);
+        }
+        if input.zoom != 0.0 {
+            self.hints.note(Hint::Zoom);
+        }
         // Zooming keeps a point of the eye's own picture in place.
         input.zoom_at[0] += (rect.center() - eye_rect.center()).x * ctx.pixels_per_point();
         input.add(&by_keys);
@@ -92,7 +99,9 @@ impl<S: FrameSource> ViewerApp<S> {
                 self.paint(ui, rect, r, frame.clone());
                 let picture = picture_widget(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
                 let mut chosen = None;
-                picture.context_menu(|ui| chosen = self.toolbar().show_menu(ui));
+                if picture.context_menu(|ui| chosen = self.toolbar().show_menu(ui)).is_some() {
+                    self.hints.note(Hint::Menu);
+                }
                 self.choose(chosen);
                 self.paint_aids(ui, now, rect, r);
                 self.show_probe(&ctx, rect, r);
@@ -114,6 +123,7 @@ impl<S: FrameSource> ViewerApp<S> {
                         banner::trouble(&ctx, &text, model.details().as_deref(), takes_link, room);
                     }
                     Some((text, false)) => banner::news(&ctx, &text, self.room_at_bottom()),
+                    None if self.shows_bars => self.hints.show(&ctx, self.room_at_bottom()),
                     None => {}
                 }
             }
@@ -127,7 +137,7 @@ impl<S: FrameSource> ViewerApp<S> {
         self.show_parts(&ctx, now);
         self.show_screenshots(&ctx, now, refresh.as_ref());
         self.show_open_dialog(&ctx);
-        help::show(&ctx, &self.options.bindings, &mut self.shows_help);
+        help::show(&ctx, &self.options.bindings, &mut self.shows_help, &mut self.help_search);
         self.set_title(&ctx);
         self.run_script(&ctx, now, refresh.as_ref());
 

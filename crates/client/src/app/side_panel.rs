@@ -1,6 +1,6 @@
 //! The panel at the right. It composes the panels of the look, the frames, the clip, the view and the state.
 
-use egui::{Panel, RichText, Ui};
+use egui::{Panel, Ui};
 use glam::Vec3;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
@@ -8,6 +8,7 @@ use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::VolumeDescription;
 
+use super::icon_strip;
 use crate::input::bindings::{Action, Bindings};
 use crate::paint::clip_editor::ClipEditor;
 use crate::paint::stereo::{self, MAX_EYE_ANGLE_DEGREES, Stereo};
@@ -15,6 +16,7 @@ use crate::paint::view_aids::ViewAids;
 use crate::panels::controls::{self, percent, row};
 use crate::panels::gallery::Gallery;
 use crate::panels::state_files::{StateFiles, StateWish};
+use crate::panels::style::title;
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
 use crate::panels::{clip, color_well, light, surfaces};
@@ -57,6 +59,36 @@ pub(crate) fn show(
     if !*is_open {
         return None;
     }
+    let is_iso = settings.look.mode == Mode::Iso;
+    let sections = |ui: &mut Ui, layout: Layout| {
+        layout.section(ui, "Presets", true, |ui| {
+            if let Some(entry) = settings.gallery.show(ui, &settings.look, settings.volume) {
+                editor.note_present();
+                entry.set(&mut settings.look, scale);
+            }
+        });
+        if settings.look.mode == Mode::Iso {
+            layout.section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
+        }
+        let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
+        layout.section(ui, "Transfer function", true, |ui| editor.show(ui, scale, surfaces.as_slice()));
+        layout.section(ui, "Light", false, |ui| {
+            light::show(ui, &mut settings.look, settings.world_from_view);
+        });
+        layout.section(ui, "Clip", false, |ui| {
+            let LookSettings { look, clip_editor, bounds, unit, forward, bindings, .. } = &mut *settings;
+            clip::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
+        });
+        layout.section(ui, "View", false, |ui| view(ui, settings));
+        layout.section(ui, "Advanced", false, |ui| frames(ui, settings));
+        layout.section(ui, "State", false, |ui| wish = state_files.show(ui));
+    };
+    if ui.ctx().content_rect().width() < STRIP_BELOW {
+        let mut names = SECTIONS.to_vec();
+        names.retain(|name| is_iso || *name != "Surfaces");
+        icon_strip::show(ui, &names, |ui, name| sections(ui, Layout::Only(name)));
+        return wish;
+    }
     // A small window keeps most of its room for the picture.
     let widest = (ui.available_width() * 0.6).max(LEAST_WIDTH);
     let panel = Panel::right("look").frame(frame).resizable(true).default_size(PANEL_WIDTH.min(widest));
@@ -65,36 +97,32 @@ pub(crate) fn show(
         let room = ui.available_rect_before_wrap();
         let mut inside = ui.new_child(egui::UiBuilder::new().max_rect(room));
         ui.advance_cursor_after_rect(room);
-        egui::ScrollArea::vertical().auto_shrink(false).show(&mut inside, |ui| {
-            section(ui, "Presets", true, |ui| {
-                if let Some(entry) = settings.gallery.show(ui, &settings.look, settings.volume) {
-                    editor.note_present();
-                    entry.set(&mut settings.look, scale);
-                }
-            });
-            if settings.look.mode == Mode::Iso {
-                section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
-            }
-            let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
-            section(ui, "Transfer function", true, |ui| editor.show(ui, scale, surfaces.as_slice()));
-            section(ui, "Light", false, |ui| {
-                light::show(ui, &mut settings.look, settings.world_from_view);
-            });
-            section(ui, "Clip", false, |ui| {
-                let LookSettings { look, clip_editor, bounds, unit, forward, bindings, .. } = &mut *settings;
-                clip::show(ui, &mut look.clip, clip_editor, bounds, *unit, *forward, bindings);
-            });
-            section(ui, "View", false, |ui| view(ui, settings));
-            section(ui, "Advanced", false, |ui| frames(ui, settings));
-            section(ui, "State", false, |ui| wish = state_files.show(ui));
-        });
+        let area = egui::ScrollArea::vertical().auto_shrink(false);
+        area.show(&mut inside, |ui| sections(ui, Layout::Docked));
     });
     wish
 }
 
-fn section(ui: &mut Ui, title: &str, is_open: bool, content: impl FnOnce(&mut Ui)) {
-    let header = egui::CollapsingHeader::new(RichText::new(title).size(12.5)).default_open(is_open);
-    header.show_unindented(ui, content);
+/// Which sections are shown, and how.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Layout {
+    /// All of them below each other; each unfolds.
+    Docked,
+    /// One of them, without its title.
+    Only(&'static str),
+}
+
+impl Layout {
+    fn section(self, ui: &mut Ui, name: &str, is_open: bool, content: impl FnOnce(&mut Ui)) {
+        match self {
+            Self::Docked => {
+                let header = egui::CollapsingHeader::new(title(name)).default_open(is_open);
+                header.show_unindented(ui, content);
+            }
+            Self::Only(only) if only == name => content(ui),
+            Self::Only(_) => {}
+        }
+    }
 }
 
 fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
@@ -184,6 +212,10 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     *settings.resets_choices |= reset.clicked();
 }
 
+const SECTIONS: [&str; 8] =
+    ["Presets", "Surfaces", "Transfer function", "Light", "Clip", "View", "Advanced", "State"];
+/// In a narrower window the panel is a strip of icons, points.
+const STRIP_BELOW: f32 = 800.0;
 /// Room for nine points of a curve, points.
 const PANEL_WIDTH: f32 = 336.0;
 const LEAST_WIDTH: f32 = 280.0;

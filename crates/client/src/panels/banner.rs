@@ -1,9 +1,9 @@
 //! Single lines over the picture: news at the bottom, and at the top that the picture is older than the look.
 
-use egui::{Align2, Color32, RichText, vec2};
+use egui::{Align2, RichText, vec2};
 use isinglass_net::State;
 
-use super::style::{bright, named, pane};
+use super::style::{amber, bright, named, pane};
 
 /// Shows news at the bottom.
 pub(crate) fn news(ctx: &egui::Context, text: &str, room: egui::Rect) {
@@ -12,7 +12,7 @@ pub(crate) fn news(ctx: &egui::Context, text: &str, room: egui::Rect) {
     area.interactable(false).show(ctx, |ui| {
         pane(ctx).show(ui, |ui| {
             ui.set_max_width((room.width() - 40.0).max(100.0));
-            ui.label(RichText::new(text).color(bright(ctx)).size(13.0));
+            ui.label(RichText::new(text).color(bright(ctx)));
         });
     });
 }
@@ -26,16 +26,14 @@ pub(crate) fn trouble(
     takes_link: bool,
     room: egui::Rect,
 ) {
-    let color = Color32::from_rgb(245, 220, 165);
     let area = egui::Area::new(egui::Id::unique("trouble"));
     let area = area.constrain_to(room).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0));
     area.show(ctx, |ui| {
-        pane(ctx).fill(Color32::from_rgba_unmultiplied(62, 48, 20, 235)).show(ui, |ui| {
+        pane(ctx).stroke(egui::Stroke::new(1.0, amber(ctx))).show(ui, |ui| {
             ui.set_max_width((room.width() - 40.0).clamp(100.0, 560.0));
-            ui.visuals_mut().override_text_color = Some(color);
-            ui.label(RichText::new(text).size(13.0));
+            ui.label(RichText::new(text).color(amber(ctx)));
             if takes_link {
-                let button = egui::Button::new("Paste new link").fill(Color32::from_rgb(92, 72, 32));
+                let button = egui::Button::new("Paste new link");
                 let button = ui.add(button).on_hover_text("connects, and keeps camera and look");
                 named(&button, egui::Role::Button, "Paste new link");
                 if button.clicked() {
@@ -44,7 +42,7 @@ pub(crate) fn trouble(
             }
             if let Some(details) = details {
                 let shown = ui.collapsing("Details", |ui| {
-                    ui.add(egui::Label::new(RichText::new(details).monospace().size(11.0)).wrap());
+                    ui.add(egui::Label::new(RichText::new(details).monospace()).wrap());
                 });
                 named(&shown.header_response, egui::Role::Button, "Details");
             }

@@ -50,7 +50,7 @@ pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut
     ui.horizontal(|ui| {
         let label = name_cell(ui, name).on_hover_text(hint);
         fill_row(ui);
-        control(ui).labelled_by(label.id);
+        control(ui).labelled_by(label.id).on_hover_text(hint);
     });
 }
 

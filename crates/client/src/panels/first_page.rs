@@ -3,21 +3,23 @@
 use egui::{Color32, Ui, vec2};
 use isinglass_net::State;
 
-use super::style::emblem;
+use super::style::{self, emblem};
 use super::text::sentence;
 
 pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help: &str) {
     let rect = ui.max_rect();
     let painter = ui.painter();
-    painter.rect_filled(rect, 0.0, PAGE);
+    let ctx = ui.ctx();
+    let (bright, quiet) = (style::bright(ctx), style::quiet(ctx));
+    painter.rect_filled(rect, 0.0, style::surface(ctx));
     let center = rect.center();
-    emblem(painter, center + vec2(0.0, -86.0), 1.0, true);
+    emblem(painter, center + vec2(0.0, -86.0), 1.0, ui.visuals().dark_mode);
     let text = |y: f32, s: &str, size: f32, color: Color32| {
         let wrapped =
             painter.layout(s.to_owned(), egui::FontId::proportional(size), color, rect.width() - 80.0);
         painter.galley(center + vec2(-wrapped.size().x * 0.5, y), wrapped, color);
     };
-    text(-36.0, "isinglass", 30.0, Color32::from_gray(225));
+    text(-36.0, "isinglass", 30.0, bright);
     let dots = &"..."[..1 + (seconds * 2.0) as usize % 3];
     let (line, problem) = match state {
         State::Connecting { problem, .. } => (format!("connecting to {server} {dots}"), problem.as_ref()),
@@ -27,13 +29,11 @@ pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help:
         }
         State::Refused(problem) => (format!("not connected to {server}"), Some(problem)),
     };
-    text(10.0, &line, 15.0, Color32::from_gray(190));
+    text(10.0, &line, 15.0, bright);
     if let Some(problem) = problem {
-        text(38.0, &sentence(problem), 13.0, Color32::from_rgb(235, 195, 120));
+        text(38.0, &sentence(problem), 13.0, style::warning(ui));
     }
     if !help.is_empty() {
-        text(96.0, &format!("{help} shows the keys"), 12.0, Color32::from_gray(150));
+        text(96.0, &format!("{help} shows the keys"), 12.0, quiet);
     }
 }
-
-const PAGE: Color32 = Color32::from_rgb(23, 27, 33);

@@ -1,7 +1,7 @@
 //! The panels over the picture. A panel shows what it is given and returns what the person asks for.
 //!
-//! Panels do not know each other; `app` places them. What they share is in `background`, `color_well`, `controls`, `file_field`,
-//! `part_pickers`, `style`, `text` and `value_scale`.
+//! Panels do not know each other; `app` places them. What they share is in `background`, `color_well`, `controls`,
+//! `file_field`, `known_files`, `part_pickers`, `style`, `text` and `value_scale`.
 
 pub(crate) mod background;
 pub(crate) mod banner;
@@ -13,6 +13,8 @@ pub(crate) mod file_field;
 pub(crate) mod first_page;
 pub(crate) mod gallery;
 pub(crate) mod help;
+pub(crate) mod hints;
+pub(crate) mod known_files;
 pub(crate) mod light;
 pub(crate) mod part_pickers;
 pub(crate) mod parts_bar;
@@ -22,6 +24,7 @@ pub(crate) mod state_files;
 pub(crate) mod status;
 pub(crate) mod style;
 pub(crate) mod surfaces;
+pub(crate) mod system_dialog;
 pub(crate) mod text;
 pub(crate) mod toolbar;
 pub(crate) mod transfer;

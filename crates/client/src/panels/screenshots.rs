@@ -204,7 +204,7 @@ impl Screenshots {
     fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>, is_connected: bool) {
         let mut is_open = true;
         let mut starts = false;
-        let window = egui::Window::new(RichText::new("Picture of the view").size(14.0));
+        let window = egui::Window::new(RichText::new("Picture of the view"));
         let window = window.open(&mut is_open).anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0));
         window.resizable(false).collapsible(false).show(ctx, |ui| {
             let of_window = subject.as_ref().map_or([0; 2], |s| [s.intrinsics.width, s.intrinsics.height]);

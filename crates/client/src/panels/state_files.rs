@@ -7,6 +7,7 @@ use isinglass_formats::{MAX_STATE_BYTES, ReadState, SavedState, SavedVolume, is_
 
 use super::background::{Written, write_text};
 use super::file_field::{FileField, FileOutcome};
+use super::known_files::KnownFile;
 use crate::view::Waker;
 
 pub(crate) enum FileContent {
@@ -35,10 +36,17 @@ impl StateFiles {
 
     /// Reads a file that may hold a state or something else.
     pub(crate) fn open_any(&mut self, path: PathBuf, wake: &Waker) {
-        self.0.read(wake, move || match begin_of(&path) {
-            Ok(begin) if is_state(&begin) => read(&path),
-            // Whoever opens other files says what is wrong with this one.
-            _ => Ok(FileContent::Other(path)),
+        self.0.read(wake, move || match KnownFile::at(&path) {
+            KnownFile::State => read(&path),
+            KnownFile::Transfer => match begin_of(&path) {
+                Ok(begin) if is_state(&begin) => read(&path),
+                _ => Ok(FileContent::Other(path)),
+            },
+            KnownFile::Volume => Err(format!(
+                "{}: a volume, which does not open beside this one; 'isinglass view' opens it",
+                path.display()
+            )),
+            KnownFile::Unknown(problem) => Err(problem),
         });
     }
 

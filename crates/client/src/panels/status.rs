@@ -6,7 +6,7 @@ use egui::{Align2, Color32, RichText, Ui, vec2};
 use isinglass_net::State;
 use lucide_icons::Icon;
 
-use super::style::{bright, icon, pane_at, quiet};
+use super::style::{self, bright, icon, pane_at, quiet};
 use super::text::{format_duration, format_rate, sentence};
 use crate::view::viewing::Standing;
 
@@ -199,14 +199,10 @@ pub(crate) fn connection_dot(ui: &mut Ui, state: &State, is_silent: bool) {
 }
 
 fn color(ui: &Ui, standing: Standing) -> Color32 {
-    let is_dark = ui.visuals().dark_mode;
     match standing {
-        Standing::Exact | Standing::Settled if is_dark => Color32::from_rgb(110, 205, 130),
-        Standing::Exact | Standing::Settled => Color32::from_rgb(20, 120, 45),
-        Standing::Moving if is_dark => Color32::from_rgb(120, 175, 240),
-        Standing::Moving => Color32::from_rgb(20, 85, 175),
-        Standing::Refining | Standing::Offline if is_dark => Color32::from_rgb(235, 190, 95),
-        Standing::Refining | Standing::Offline => Color32::from_rgb(150, 90, 0),
+        Standing::Exact | Standing::Settled => style::done(ui.ctx()),
+        Standing::Moving | Standing::Refining => style::accent(ui.ctx()),
+        Standing::Offline => style::warning(ui),
         Standing::Waiting => quiet(ui.ctx()),
     }
 }

@@ -92,12 +92,7 @@ impl Toolbar<'_> {
     }
 
     fn files(&self, ui: &mut Ui, has_words: bool, wish: &mut Option<ToolbarWish>) {
-        menu(ui, Icon::FolderOpen, "Open", has_words, |ui| {
-            if self.opens_volumes {
-                self.item(ui, "Volume or server…", Action::Start, wish);
-            }
-            self.item(ui, "File…", Action::OpenFile, wish);
-        });
+        self.open(ui, has_words, wish);
         menu(ui, Icon::Save, "Save", has_words, |ui| {
             self.item(ui, "State of the view", Action::SaveState, wish);
             self.item(ui, "Copy a link to the view", Action::CopyLink, wish);
@@ -106,6 +101,20 @@ impl Toolbar<'_> {
             self.item(ui, "Save a picture", Action::Picture, wish);
             self.item(ui, "Other size, or a turntable…", Action::PictureDialog, wish);
         });
+    }
+
+    /// The page of all that can be opened, or the list of files where only files open.
+    fn open(&self, ui: &mut Ui, has_word: bool, wish: &mut Option<ToolbarWish>) {
+        let (hint, action) = match self.opens_volumes {
+            true => ("a file, a server or a sample", Action::Start),
+            false => ("a file", Action::OpenFile),
+        };
+        let symbol = icon(Icon::FolderOpen);
+        let response = if has_word { ui.button((symbol, "Open")) } else { ui.button(symbol) };
+        named(&response, Role::Button, "Open");
+        if response.on_hover_text(self.bindings.with_key(hint, action)).clicked() {
+            *wish = Some(ToolbarWish::Act(action));
+        }
     }
 
     fn views(&self, ui: &mut Ui, has_words: bool, wish: &mut Option<ToolbarWish>) {

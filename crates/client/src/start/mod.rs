@@ -1,8 +1,12 @@
 //! The window around the viewer: the start page, and whatever opens from it, from the recent list, or by dropping
 //! files. The present picture stays until the next one is ready, and no refresh waits.
 
+mod cards;
+mod drop_frame;
+mod hint_file;
 mod opening;
 mod page;
+mod pictures;
 mod recent_list;
 mod services;
 #[cfg(test)]
@@ -14,36 +18,51 @@ use std::sync::{Arc, Mutex};
 use egui::{Align2, RichText};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ClientSession;
-use isinglass_formats::{Content, LoadRequest, ReadState, RecentEntry, RecentPlace, content_of, read_state};
+use isinglass_formats::{LoadRequest, ReadState, RecentEntry, RecentPlace, read_state};
 use isinglass_net::{Clock, Link, LinkStats, ReceivedFrame, State, Talking};
 
+use self::drop_frame::DropFrame;
+use self::hint_file::HintFile;
 use self::opening::{Opened, Opening, later};
-use self::page::{PageScene, PageWish, StartPage, is_volume, opening_rows};
+use self::page::{Act, PageScene, PageWish, StartPage, opening_rows};
+use self::pictures::{Keepsake, Pictures};
 use self::recent_list::RecentList;
 pub use self::services::{First, Services};
 use crate::app::{AppWish, Origin, ViewerApp};
+use crate::input::bindings::Action;
 use crate::panels::background::Background;
+use crate::panels::known_files::KnownFile;
 use crate::panels::style::{self, name_window, named, pane_at};
+use crate::panels::system_dialog::{Picked, SystemDialog};
 use crate::view::frame_source::FrameSource;
 use crate::view::{BoxedSource, Waker};
 
 enum Dropped {
     Volume(PathBuf),
     State(Box<ReadState>),
-    Others(Vec<egui::DroppedFileHandle>),
+    /// A state or colours, for the picture that is shown.
+    ForPicture(PathBuf),
 }
 
 pub(crate) struct StartWindow {
     app: ViewerApp<BoxedSource>,
     services: Services,
     recent: RecentList,
+    pictures: Pictures,
+    hints: HintFile,
+    /// What is shown, for its picture in the recent list.
+    place: Option<RecentPlace>,
     page: StartPage,
     is_page_shown: bool,
     has_session: bool,
     /// The server in this process whose volume is shown, and the size of that volume, bytes.
     server: Option<(Box<dyn Send>, u64)>,
     opening: Option<Opening>,
-    problem: Option<String>,
+    /// What the person did last, and what went wrong with it.
+    act: Act,
+    problem: Option<(Act, String)>,
+    drop_frame: DropFrame,
+    system_dialog: SystemDialog,
     dropped: Background<Dropped>,
     chosen: Background<Box<ReadState>>,
     /// Whether the list shows the folder of the recent list, or one that the person chose.
@@ -63,6 +82,9 @@ impl StartWindow {
         wake: Waker,
     ) -> Self {
         let recent = RecentList::new(services.recent_file.clone(), ctx);
+        let pictures = Pictures::new(services.recent_file.as_deref());
+        let hints = HintFile::new(services.recent_file.as_deref(), ctx);
+        let system_dialog = SystemDialog::new(services.has_system_dialog);
         let here = std::env::current_dir().ok().filter(|here| here.parent().is_some());
         let folder = here.or_else(std::env::home_dir).unwrap_or_else(|| PathBuf::from("/"));
         let page = StartPage::new(folder, &wake);
@@ -72,12 +94,18 @@ impl StartWindow {
             app,
             services,
             recent,
+            pictures,
+            hints,
+            place: None,
             page,
             is_page_shown: true,
             has_session: false,
             server: None,
             opening: None,
+            act: Act::Open,
             problem: None,
+            drop_frame: DropFrame::default(),
+            system_dialog,
             dropped: Background::default(),
             chosen: Background::default(),
             has_folder: false,
@@ -99,28 +127,40 @@ impl StartWindow {
 
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
         let ctx = ui.ctx().clone();
+        style::install(&ctx);
         if self.recent.poll(&ctx) && !self.has_folder {
             self.has_folder = true;
             if let Some(folder) = self.recent.folder() {
                 self.page.browser.go_to(folder.to_owned(), None);
             }
         }
+        if let Some(hints) = self.hints.take(&ctx) {
+            self.app.hints = hints;
+        }
+        self.hints.follow(&ctx, &self.app.hints);
         self.take_dropped(&ctx);
+        self.take_picked(&ctx);
         self.take_chosen();
         self.go_on(&ctx);
         let held = self.held();
         let wish = if self.is_page_shown {
             self.app.warm_up();
             name_window(&ctx, "isinglass");
-            // Of the viewer's keys only this one works here.
-            if self.app.take_quit(&ctx) {
+            // Of the viewer's keys only these work here.
+            let wished = self.app.take_page_actions(&ctx);
+            if wished.contains(&Action::Quit) {
                 ctx.send_viewport_cmd(egui::ViewportCommand::Close);
             }
+            if wished.contains(&Action::OpenFile) && self.opening.is_none() {
+                self.choose_file(&ctx);
+            }
+            self.pictures.poll(&ctx, self.recent.entries());
             let scene = PageScene {
                 services: &self.services,
                 recent: &self.recent,
+                pictures: &self.pictures,
                 opening: self.opening.as_ref(),
-                problem: self.problem.as_deref(),
+                problem: self.problem.as_ref().map(|(act, problem)| (*act, problem.as_str())),
                 has_session: self.has_session,
                 held,
             };
@@ -129,8 +169,9 @@ impl StartWindow {
             self.app.show(ui);
             if let Some(wish) = self.app.take_wish() {
                 match wish {
-                    AppWish::StartPage => self.show_page(),
-                    AppWish::Volume(request) => self.open(request),
+                    AppWish::StartPage => self.show_page(&ctx),
+                    AppWish::ChooseFile => self.choose_file(&ctx),
+                    AppWish::Volume(request) => self.open_by(Act::Open, request),
                     AppWish::State(read) => self.open_state(Ok(read)),
                     AppWish::Server(server) => self.connect(&server.0, server.1),
                 }
@@ -144,29 +185,52 @@ impl StartWindow {
             self.fulfil(wish, &ctx);
             ctx.request_repaint();
         }
+        let dropped = self.problem.as_ref().filter(|(act, _)| *act == Act::Drop);
+        if self.drop_frame.show(&ctx, &self.wake, dropped.map(|(_, problem)| problem.as_str())) {
+            self.problem = self.problem.take().filter(|(act, _)| *act != Act::Drop);
+        }
     }
 
     fn fulfil(&mut self, wish: PageWish, ctx: &egui::Context) {
         match wish {
             PageWish::Connect(link) => self.connect(&link, None),
-            PageWish::Open(request) => self.open(request),
-            PageWish::OpenState(path) => self.chosen = Background::run(&self.wake, move || state_in(&path)),
+            PageWish::ChooseFile => self.choose_file(ctx),
+            PageWish::Open(request) => self.open_by(Act::Open, request),
+            PageWish::OpenRecent(request) => self.open_by(Act::Recent, request),
+            PageWish::OpenSample(sample) => {
+                let max_bytes = self.services.servers.max_bytes();
+                let source = format!("builtin:{}", sample.name());
+                self.open_by(Act::Sample, LoadRequest { max_bytes, ..LoadRequest::new(source) });
+            }
+            PageWish::OpenState(path) => {
+                self.act = Act::Open;
+                self.chosen = Background::run(&self.wake, move || state_in(&path));
+            }
             PageWish::Cancel => self.opening = None,
             PageWish::Back => self.is_page_shown = false,
-            PageWish::Close => self.close(),
+            PageWish::Close => self.close(ctx),
             PageWish::Forget(number) => self.recent.forget(number, ctx),
         }
     }
 
+    fn fail(&mut self, problem: String) {
+        self.problem = Some((self.act, problem));
+    }
+
+    fn open_by(&mut self, act: Act, request: LoadRequest) {
+        self.act = act;
+        self.open(request);
+    }
+
     /// Begins to connect, to show the volume as the link's own state says, or else `state`.
     fn connect(&mut self, link: &Link, state: Option<ReadState>) {
-        self.problem = None;
+        (self.act, self.problem) = (Act::Connect, None);
         let state = state.filter(|_| link.state.is_none());
         match Opening::connect(link, &self.clock, &self.wake) {
             Ok(opening) => {
                 self.opening = Some(state.into_iter().fold(opening, Opening::seen_as));
             }
-            Err(problem) => self.problem = Some(problem),
+            Err(problem) => self.fail(problem),
         }
     }
 
@@ -175,6 +239,35 @@ impl StartWindow {
         let servers = self.services.servers.clone();
         self.problem = None;
         self.opening = Some(Opening::local(request, held, servers, &self.clock, &self.wake));
+    }
+
+    /// Asks for a file by the system's dialog, or by our own where there is none.
+    fn choose_file(&mut self, ctx: &egui::Context) {
+        if !self.system_dialog.open(&self.wake, self.page.browser.folder()) {
+            self.browse(ctx);
+        }
+    }
+
+    fn browse(&mut self, ctx: &egui::Context) {
+        match self.is_page_shown {
+            true => self.page.browse(),
+            false => self.app.open_file_dialog(ctx),
+        }
+        ctx.request_repaint();
+    }
+
+    fn take_picked(&mut self, ctx: &egui::Context) {
+        match self.system_dialog.take() {
+            Some(Picked::File(path)) => {
+                if let Some(folder) = path.parent() {
+                    self.has_folder = true;
+                    self.page.browser.go_to(folder.to_owned(), None);
+                }
+                self.look_at(Act::Open, vec![path]);
+            }
+            Some(Picked::NoDialog) => self.browse(ctx),
+            Some(Picked::Nothing) | None => {}
+        }
     }
 
     /// Begins to open a state's volume, to show it as the state says.
@@ -209,7 +302,7 @@ impl StartWindow {
         });
         match opening {
             Ok(opening) => self.opening = Some(opening),
-            Err(problem) => self.problem = Some(problem),
+            Err(problem) => self.fail(problem),
         }
     }
 
@@ -227,7 +320,7 @@ impl StartWindow {
                 Ok(opened) => self.show_opened(opened, ctx),
                 Err(problem) => {
                     tracing::warn!("{problem}");
-                    self.problem = Some(problem);
+                    self.fail(problem);
                 }
             }
         } else {
@@ -244,6 +337,8 @@ impl StartWindow {
 
     fn show_opened(&mut self, opened: Opened, ctx: &egui::Context) {
         let Opened { source, origin, server, place, shows } = opened;
+        self.keep_picture(ctx);
+        self.place = Some(place.clone());
         let is_volume = matches!(place, RecentPlace::Volume(_));
         let folder = (is_volume && self.has_folder).then(|| self.page.browser.folder().to_owned());
         self.recent.note(RecentEntry { place, shows, used_at: (self.services.calendar)() }, folder, ctx);
@@ -253,34 +348,35 @@ impl StartWindow {
         (self.has_session, self.is_page_shown, self.problem) = (true, false, None);
     }
 
-    fn close(&mut self) {
+    fn close(&mut self, ctx: &egui::Context) {
+        self.keep_picture(ctx);
+        self.place = None;
         later((self.app.turn_to(Box::<Nothing>::default(), Origin::default()), self.server.take()));
         (self.has_session, self.is_page_shown) = (false, true);
     }
 
-    fn show_page(&mut self) {
+    fn show_page(&mut self, ctx: &egui::Context) {
         self.is_page_shown = true;
+        self.keep_picture(ctx);
         self.page.focus();
     }
 
-    /// Dropped files are distinguished by their content. Volumes open here. States open here with their volumes while
-    /// the page is shown. The viewer gets everything else: it knows presets and states.
+    fn keepsake(&self) -> Option<Keepsake> {
+        let frame = self.app.source().latest_frame()?;
+        Some(Keepsake { frame, background: self.app.background(), place: self.place.clone()? })
+    }
+
+    /// Keeps a picture of what is shown, for its card.
+    fn keep_picture(&mut self, ctx: &egui::Context) {
+        if let Some(keepsake) = self.keepsake() {
+            self.pictures.keep(ctx, keepsake, self.recent.entries());
+        }
+    }
+
     fn take_dropped(&mut self, ctx: &egui::Context) {
         let files = ctx.input_mut(|i| std::mem::take(&mut i.raw.dropped_files));
         if !files.is_empty() {
-            let takes_states = self.is_page_shown;
-            self.dropped = Background::run(&self.wake, move || {
-                let content = |path: &Path| content_of(path).ok();
-                let paths: Vec<_> = files.iter().map(|file| file.path().to_owned()).collect();
-                if let Some(volume) = paths.iter().find(|path| content(path).is_some_and(is_volume)) {
-                    return Ok(Dropped::Volume(volume.clone()));
-                }
-                let is_state = |path: &&PathBuf| takes_states && content(path) == Some(Content::State);
-                match paths.iter().find(is_state) {
-                    Some(path) => state_in(path).map(Dropped::State),
-                    None => Ok(Dropped::Others(files)),
-                }
-            });
+            self.look_at(Act::Drop, files.iter().map(|file| file.path().to_owned()).collect());
         }
         match self.dropped.take() {
             Some(Ok(Dropped::Volume(volume))) => {
@@ -289,37 +385,63 @@ impl StartWindow {
                 self.open(LoadRequest { max_bytes, ..LoadRequest::new(source) });
             }
             Some(Ok(Dropped::State(read))) => self.open_state(Ok(read)),
-            Some(Ok(Dropped::Others(files))) if self.is_page_shown => {
-                let name = files.first().map(|f| f.path().display().to_string()).unwrap_or_default();
-                self.problem = Some(format!("{name}: found no volume or state that opens here."));
-            }
-            Some(Ok(Dropped::Others(files))) => ctx.input_mut(|i| i.raw.dropped_files = files),
-            Some(Err(problem)) => self.problem = Some(problem),
+            Some(Ok(Dropped::ForPicture(path))) => self.app.open_any(path, ctx),
+            Some(Err(problem)) => self.fail(problem),
             None => {}
         }
     }
 
+    /// Files are distinguished by their content. Volumes open here. States open here with their volumes while the page
+    /// is shown. The viewer gets states and colours otherwise.
+    fn look_at(&mut self, act: Act, paths: Vec<PathBuf>) {
+        (self.act, self.problem) = (act, None);
+        let is_page_shown = self.is_page_shown;
+        self.dropped = Background::run(&self.wake, move || {
+            let mut known: Vec<_> = paths.into_iter().map(|path| (KnownFile::at(&path), path)).collect();
+            // Volumes before states, before colours, before what does not open.
+            known.sort_by_key(|(kind, _)| match kind {
+                KnownFile::Volume => 0,
+                KnownFile::State => 1,
+                KnownFile::Transfer => 2,
+                KnownFile::Unknown(_) => 3,
+            });
+            let (kind, path) = known.into_iter().next().ok_or("no file")?;
+            match kind {
+                KnownFile::Volume => Ok(Dropped::Volume(path)),
+                KnownFile::State if is_page_shown => state_in(&path).map(Dropped::State),
+                KnownFile::Transfer if is_page_shown => {
+                    let name = path.display();
+                    Err(format!("{name}: colours and opacities are for a volume. Open one first."))
+                }
+                KnownFile::State | KnownFile::Transfer => Ok(Dropped::ForPicture(path)),
+                KnownFile::Unknown(problem) => Err(problem),
+            }
+        });
+    }
+
     /// Shows the progress of an opening.
     fn show_around(&mut self, ctx: &egui::Context) -> Option<PageWish> {
-        if self.opening.is_none() && self.problem.is_none() {
+        let problem = self.problem.as_ref().filter(|(act, _)| *act != Act::Drop).map(|(_, problem)| problem);
+        if self.opening.is_none() && problem.is_none() {
             return None;
         }
-        let mut wish = None;
+        let (mut wish, mut is_read) = (None, false);
         let room = self.app.room_at_bottom();
         pane_at(ctx, "opening", room, (Align2::CENTER_BOTTOM, [0.0, -12.0]), |ui| {
             ui.set_max_width((room.width() - 40.0).clamp(180.0, 420.0));
             if let Some(opening) = &self.opening {
                 ui.add(egui::Label::new(RichText::new(&opening.name).strong()).truncate());
                 wish = opening_rows(ui, opening, false);
-            } else if let Some(problem) = &self.problem {
+            } else if let Some(problem) = problem {
                 style::problem(ui, problem);
                 let ok = ui.small_button("OK");
                 named(&ok, egui::Role::Button, "OK");
-                if ok.clicked() {
-                    self.problem = None;
-                }
+                is_read = ok.clicked();
             }
         });
+        if is_read {
+            self.problem = None;
+        }
         wish
     }
 }
@@ -332,6 +454,12 @@ fn state_in(path: &Path) -> Result<Box<ReadState>, String> {
 impl eframe::App for StartWindow {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
+    }
+
+    fn on_exit(&mut self) {
+        if let Some(keepsake) = self.keepsake() {
+            self.pictures.keep_now(keepsake, self.recent.entries());
+        }
     }
 }
 

@@ -1,16 +1,21 @@
-//! The start page: a link to paste, the recent list, and the files of this machine.
+//! The start page: three choices, and what was opened lately.
 
 use std::path::PathBuf;
 
-use egui::{Key, Modifiers, RichText, ScrollArea, Sense, Stroke, Ui, vec2};
-use isinglass_formats::{Content, LoadRequest, RecentEntry, RecentPlace, VolumeSource};
-use isinglass_net::{Link, place_of};
+use egui::{Key, Modifiers, RichText, ScrollArea, Sense, Ui, vec2};
+use isinglass_core::volume::procedural::Builtin;
+use isinglass_formats::{LoadRequest, RecentPlace};
+use isinglass_net::Link;
+use lucide_icons::Icon;
 
+use super::cards::{CardWish, choice, recent_card};
 use super::opening::Opening;
-use super::recent_list::{RecentList, ago};
+use super::pictures::Pictures;
+use super::recent_list::RecentList;
 use super::services::Services;
+use crate::app::open_dialog::file_window;
 use crate::panels::browser::{Browser, Chosen};
-use crate::panels::style::{self, bright, emblem, named, quiet, warning};
+use crate::panels::style::{self, bright, emblem, named, quiet, title};
 use crate::panels::text::{format_bytes, sentence};
 use crate::view::Waker;
 
@@ -18,17 +23,32 @@ pub(crate) enum PageWish {
     Connect(Box<Link>),
     Open(LoadRequest),
     OpenState(PathBuf),
+    /// Open a file that the person has yet to choose.
+    ChooseFile,
+    OpenSample(Builtin),
+    OpenRecent(LoadRequest),
     Cancel,
     Back,
     Close,
     Forget(usize),
 }
 
+/// What the person did last. What goes wrong with it is said where it was done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Act {
+    Open,
+    Connect,
+    Sample,
+    Recent,
+    Drop,
+}
+
 pub(crate) struct PageScene<'a> {
     pub(crate) services: &'a Services,
     pub(crate) recent: &'a RecentList,
+    pub(crate) pictures: &'a Pictures,
     pub(crate) opening: Option<&'a Opening>,
-    pub(crate) problem: Option<&'a str>,
+    pub(crate) problem: Option<(Act, &'a str)>,
     /// Whether a picture is shown behind the page.
     pub(crate) has_session: bool,
     /// Size of the volume that is shown in this process, bytes.
@@ -41,6 +61,7 @@ pub(crate) struct StartPage {
     /// A hint about a server in the recent list.
     hint: Option<String>,
     wants_link_focus: bool,
+    is_browsing: bool,
     pub(crate) browser: Browser,
 }
 
@@ -51,6 +72,7 @@ impl StartPage {
             link_problem: None,
             hint: None,
             wants_link_focus: true,
+            is_browsing: false,
             browser: Browser::new(folder, wake),
         }
     }
@@ -59,139 +81,154 @@ impl StartPage {
         self.wants_link_focus = true;
     }
 
+    /// Opens the list of files.
+    pub(crate) fn browse(&mut self) {
+        self.is_browsing = true;
+        self.browser.focus();
+    }
+
     pub(crate) fn show(&mut self, ui: &mut Ui, scene: &PageScene<'_>) -> Option<PageWish> {
         let rect = ui.max_rect();
         ui.painter().rect_filled(rect, 0.0, ui.visuals().panel_fill);
         let mut wish = None;
         if let Some(opening) = scene.opening {
             // The page beneath is inactive, but the window stays awake.
+            self.is_browsing = false;
             return loading_page(ui, opening, scene.has_session);
+        }
+        let ctx = ui.ctx().clone();
+        let volumes = (&scene.services.servers, scene.held);
+        match file_window(&ctx, &mut self.is_browsing, &mut self.browser, Some(volumes)) {
+            Some(Chosen::Volume(request)) => return Some(PageWish::Open(request)),
+            // Of texts, the page accepts states.
+            Some(Chosen::Text(path)) => return Some(PageWish::OpenState(path)),
+            None => {}
         }
         if scene.has_session && ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape)) {
             return Some(PageWish::Back);
         }
-        let is_wide = rect.width() >= 820.0;
-        let margin = if is_wide { 28.0 } else { 14.0 };
+        let margin = if rect.width() >= 820.0 { 32.0 } else { 16.0 };
         let width = (rect.width() - 2.0 * margin).min(1120.0);
-        let inner = egui::Rect::from_center_size(rect.center(), vec2(width, rect.height() - 2.0 * margin));
-        let mut page = ui.new_child(egui::UiBuilder::new().max_rect(inner));
-        let ui = &mut page;
-        self.header(ui, scene, &mut wish);
-        ui.add_space(10.0);
-        let height = ui.available_height();
-        if is_wide {
-            let left_width = (width * 0.42).clamp(330.0, 430.0);
-            ui.horizontal_top(|ui| {
-                ui.allocate_ui(vec2(left_width, height), |ui| {
-                    ui.set_width(left_width);
-                    ui.vertical(|ui| self.left(ui, scene, &mut wish));
-                });
-                ui.add_space(22.0);
-                let right = vec2(ui.available_width(), height);
-                ui.allocate_ui(right, |ui| {
-                    ui.set_width(right.x);
-                    ui.vertical(|ui| self.right(ui, scene, height, &mut wish));
-                });
-            });
-        } else {
-            ScrollArea::vertical().show(ui, |ui| {
-                self.left(ui, scene, &mut wish);
-                ui.add_space(14.0);
-                self.right(ui, scene, 420.0, &mut wish);
-            });
-        }
+        let inner = egui::Rect::from_center_size(rect.center(), vec2(width, rect.height() - 32.0));
+        let ui = &mut ui.new_child(egui::UiBuilder::new().max_rect(inner));
+        header(ui, scene, &mut wish);
+        ui.add_space(16.0);
+        ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+            self.choices(ui, scene, &mut wish);
+            ui.add_space(24.0);
+            self.recent(ui, scene, &mut wish);
+        });
         wish
     }
 
-    fn header(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
-        ui.horizontal(|ui| {
-            let (emblem_rect, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
-            emblem(ui.painter(), emblem_rect.center(), 0.5, ui.visuals().dark_mode);
-            ui.label(RichText::new("isinglass").size(26.0).color(bright(ui.ctx())));
-            if scene.has_session {
-                ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-                    if ui.button("Back to the picture").on_hover_text("Esc").clicked() {
-                        *wish = Some(PageWish::Back);
-                    }
-                    if ui
-                        .button("Close it")
-                        .on_hover_text("ends what is shown, and frees its memory")
-                        .clicked()
-                    {
-                        *wish = Some(PageWish::Close);
+    /// Side by side, or below each other where there is no room.
+    fn choices(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
+        let width = ui.available_width();
+        let is_wide = width >= LEAST_WIDTH_OF_ROW;
+        let (height, side) = match is_wide {
+            true => (CHOICE_HEIGHT, (width - 2.0 * GAP) / 3.0),
+            false => (0.0, width),
+        };
+        let layout = match is_wide {
+            true => egui::Layout::left_to_right(egui::Align::Min),
+            false => egui::Layout::top_down(egui::Align::Min),
+        };
+        ui.with_layout(layout, |ui| {
+            ui.spacing_mut().item_spacing = vec2(GAP, GAP);
+            for number in 0..3 {
+                ui.allocate_ui(vec2(side, height), |ui| {
+                    ui.set_width(side);
+                    ui.spacing_mut().item_spacing = vec2(8.0, 4.0);
+                    match number {
+                        0 => open_choice(ui, scene, height, wish),
+                        1 => self.connect_choice(ui, scene, height, wish),
+                        _ => sample_choice(ui, scene, height, wish),
                     }
                 });
             }
         });
-        if let Some(problem) = scene.problem {
-            style::problem(ui, problem);
-        }
     }
 
-    fn left(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
-        title(ui, "Connect to a server");
-        let has_link = !self.link_text.trim().is_empty();
-        ui.horizontal(|ui| {
-            let width = ui.available_width() - 84.0;
-            let field = egui::TextEdit::singleline(&mut self.link_text).desired_width(width);
-            let field = ui.add(field.hint_text("isinglass://host:port/#token=…&cert=…"));
-            named(&field, egui::Role::TextInput, "link");
-            if std::mem::take(&mut self.wants_link_focus) {
-                field.request_focus();
-            }
-            if field.changed() {
-                self.link_problem = None;
-            }
-            let enters = field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter));
-            let is_clicked = ui.add_enabled(has_link, egui::Button::new("Connect")).clicked();
-            if (enters && has_link) || is_clicked {
-                match link_in(&self.link_text) {
-                    Ok(link) => *wish = Some(PageWish::Connect(Box::new(link))),
-                    Err(problem) => {
-                        self.link_problem = Some(problem);
-                        self.wants_link_focus = true;
+    fn connect_choice(
+        &mut self,
+        ui: &mut Ui,
+        scene: &PageScene<'_>,
+        height: f32,
+        wish: &mut Option<PageWish>,
+    ) {
+        choice(ui, (Icon::Cable, "Connect to a server"), height, |ui| {
+            let has_link = !self.link_text.trim().is_empty();
+            ui.horizontal(|ui| {
+                let width = (ui.available_width() - 84.0).max(60.0);
+                let field = egui::TextEdit::singleline(&mut self.link_text).desired_width(width);
+                let field = ui.add(field.hint_text("isinglass://host:port/#…"));
+                named(&field, egui::Role::TextInput, "link");
+                if std::mem::take(&mut self.wants_link_focus) {
+                    field.request_focus();
+                }
+                if field.changed() {
+                    self.link_problem = None;
+                }
+                let enters = field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter));
+                let is_clicked = ui.add_enabled(has_link, egui::Button::new("Connect")).clicked();
+                if (enters && has_link) || is_clicked {
+                    match link_in(&self.link_text) {
+                        Ok(link) => *wish = Some(PageWish::Connect(Box::new(link))),
+                        Err(problem) => {
+                            self.link_problem = Some(problem);
+                            self.wants_link_focus = true;
+                        }
                     }
+                }
+            });
+            let problem = self.link_problem.as_deref().or(problem_of(scene, Act::Connect));
+            match (problem, &self.hint) {
+                (Some(problem), _) => style::problem(ui, problem),
+                (None, Some(hint)) => small(ui, hint),
+                (None, None) => {
+                    small(ui, "Paste the link that 'isinglass serve' printed; it lets in one viewer.");
                 }
             }
         });
-        let color = quiet(ui.ctx());
-        let note = match (&self.link_problem, &self.hint) {
-            (Some(problem), _) => RichText::new(problem).color(warning(ui)),
-            (None, Some(hint)) => RichText::new(hint),
-            (None, None) => {
-                RichText::new("Paste the link that 'isinglass serve' printed; it lets in one viewer.")
-                    .color(color)
-            }
-        };
-        ui.add(egui::Label::new(note.size(12.0)).wrap());
-        ui.add_space(16.0);
-        title(ui, "Recent");
-        if let Some(problem) = scene.recent.problem() {
-            ui.add(egui::Label::new(RichText::new(problem).size(11.5).color(warning(ui))).wrap());
+    }
+
+    fn recent(&mut self, ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
+        ui.label(title("Recent"));
+        ui.add_space(8.0);
+        for problem in [scene.recent.problem(), problem_of(scene, Act::Recent)].into_iter().flatten() {
+            style::problem(ui, problem);
         }
         let entries = scene.recent.entries();
         if entries.is_empty() {
-            ui.label(
-                RichText::new("Servers and volumes that were opened are listed here.")
-                    .size(12.0)
-                    .color(color),
-            );
+            small(ui, "What you open is here the next time, with its last picture.");
         }
         let now = (scene.services.calendar)();
-        for (i, entry) in entries.iter().enumerate() {
-            match recent_row(ui, entry, now) {
-                Some(RowWish::Open) => self.choose(ui, entry, scene, wish),
-                Some(RowWish::Forget) => *wish = Some(PageWish::Forget(i)),
-                None => {}
-            }
+        let width = ui.available_width();
+        let per_row = ((width + GAP) / (LEAST_WIDTH_OF_CARD + GAP)).floor().max(1.0);
+        let card_width = ((width + GAP) / per_row - GAP).floor();
+        for (row, of_row) in entries.chunks(per_row as usize).enumerate() {
+            ui.horizontal_top(|ui| {
+                ui.spacing_mut().item_spacing.x = GAP;
+                for (column, entry) in of_row.iter().enumerate() {
+                    let picture = scene.pictures.of(&entry.place);
+                    match recent_card(ui, entry, picture, now, card_width) {
+                        Some(CardWish::Open) => self.choose(ui, &entry.place, scene, wish),
+                        Some(CardWish::Forget) => {
+                            *wish = Some(PageWish::Forget(row * per_row as usize + column));
+                        }
+                        None => {}
+                    }
+                }
+            });
+            ui.add_space(GAP - 4.0);
         }
     }
 
-    fn choose(&mut self, ui: &Ui, entry: &RecentEntry, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
-        match &entry.place {
+    fn choose(&mut self, ui: &Ui, place: &RecentPlace, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
+        match place {
             RecentPlace::Volume(volume) => {
                 let max_bytes = scene.services.servers.max_bytes();
-                *wish = Some(PageWish::Open(volume.clone().request(max_bytes)));
+                *wish = Some(PageWish::OpenRecent(volume.clone().request(max_bytes)));
             }
             RecentPlace::Server { host, port } => {
                 // A link works once and is not stored: there is nothing to connect with.
@@ -205,87 +242,63 @@ impl StartPage {
             }
         }
     }
-
-    fn right(&mut self, ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
-        title(ui, "Open a volume of this computer");
-        let height = height - 34.0;
-        let volumes = (&scene.services.servers, scene.held);
-        match self.browser.show(ui, Some(volumes), height) {
-            Some(Chosen::Volume(request)) => *wish = Some(PageWish::Open(request)),
-            // Of texts, the page accepts states.
-            Some(Chosen::Text(path)) => *wish = Some(PageWish::OpenState(path)),
-            None => {}
-        }
-    }
 }
 
-enum RowWish {
-    Open,
-    Forget,
-}
-
-fn recent_row(ui: &mut Ui, entry: &RecentEntry, now: u64) -> Option<RowWish> {
-    let (name, place) = match &entry.place {
-        RecentPlace::Server { host, port } => {
-            (place_of(host, *port), format!("server, showed {}", entry.shows))
-        }
-        RecentPlace::Volume(VolumeSource { source, raw, selection, spacing }) => {
-            let part = [
-                ("channel", selection.channel),
-                ("time", selection.time),
-                ("level", selection.level),
-                ("series", selection.series),
-            ];
-            let part = part.into_iter().filter_map(|(what, n)| n.map(|n| format!(", {what} {n}")));
-            let region = selection.region.map(|r| format!(", region {r}"));
-            let raw = raw.map(|raw| {
-                let [x, y, z] = raw.dims;
-                format!(", raw {x}×{y}×{z} {}", raw.dtype.name())
+fn header(ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
+    ui.horizontal(|ui| {
+        let (emblem_rect, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
+        emblem(ui.painter(), emblem_rect.center(), 0.5, ui.visuals().dark_mode);
+        ui.label(RichText::new("isinglass").size(26.0).color(bright(ui.ctx())));
+        if scene.has_session {
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                if ui.button("Back to the picture").on_hover_text("Esc").clicked() {
+                    *wish = Some(PageWish::Back);
+                }
+                if ui.button("Close it").on_hover_text("ends what is shown, and frees its memory").clicked() {
+                    *wish = Some(PageWish::Close);
+                }
             });
-            let spacing = spacing.map(|s| format!(", voxels of {}×{}×{}", s.x, s.y, s.z));
-            let part: String = part.chain(region).chain(raw).chain(spacing).collect();
-            (entry.shows.clone(), format!("{source}{part}"))
         }
-    };
-    let mut wish = None;
-    let width = ui.available_width();
-    let (rect, response) = ui.allocate_exact_size(vec2(width, 38.0), Sense::click());
-    let response = response.on_hover_text(&place);
-    named(&response, egui::Role::Button, &name);
-    let visuals = ui.visuals();
-    if response.hovered() || response.has_focus() {
-        ui.painter().rect_filled(rect, 4.0, visuals.widgets.hovered.weak_bg_fill);
-    }
-    let (text, side) = (bright(ui.ctx()), quiet(ui.ctx()));
-    let when = ago(now, entry.used_at);
-    let small = egui::FontId::proportional(11.5);
-    let when = ui.painter().layout_no_wrap(when, small.clone(), side);
-    let when_left = rect.right() - 28.0 - when.size().x;
-    let texts = ui.painter().with_clip_rect(rect.with_max_x(when_left - 8.0).intersect(ui.clip_rect()));
-    texts.text(
-        rect.left_top() + vec2(8.0, 4.0),
-        egui::Align2::LEFT_TOP,
-        name.clone(),
-        egui::FontId::proportional(13.5),
-        text,
-    );
-    texts.text(rect.left_bottom() + vec2(8.0, -4.0), egui::Align2::LEFT_BOTTOM, place, small, side);
-    let when_top = rect.center().y - when.size().y * 0.5;
-    ui.painter().galley(egui::pos2(when_left, when_top), when, side);
-    let cross =
-        egui::Rect::from_center_size(egui::pos2(rect.right() - 13.0, rect.center().y), vec2(18.0, 18.0));
-    let forget = ui.interact(cross, response.id.with("forget"), Sense::click()).on_hover_text("forget this");
-    named(&forget, egui::Role::Button, &format!("forget {name}"));
-    let stroke = Stroke::new(1.2, if forget.hovered() { text } else { side.gamma_multiply(0.7) });
-    let arm = cross.shrink(5.5);
-    ui.painter().line_segment([arm.left_top(), arm.right_bottom()], stroke);
-    ui.painter().line_segment([arm.right_top(), arm.left_bottom()], stroke);
-    if forget.clicked() {
-        wish = Some(RowWish::Forget);
-    } else if response.clicked() {
-        wish = Some(RowWish::Open);
-    }
-    wish
+    });
+}
+
+fn open_choice(ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
+    choice(ui, (Icon::FolderOpen, "Open a file"), height, |ui| {
+        ui.horizontal(|ui| {
+            if ui.button("Choose a file…").on_hover_text("Ctrl+O").clicked() {
+                *wish = Some(PageWish::ChooseFile);
+            }
+        });
+        match problem_of(scene, Act::Open) {
+            Some(problem) => style::problem(ui, problem),
+            None => small(ui, "A volume, a folder of slices or a saved view. Or drop it on this window."),
+        }
+    });
+}
+
+fn sample_choice(ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
+    choice(ui, (Icon::Shapes, "Try a sample"), height, |ui| {
+        ui.horizontal_wrapped(|ui| {
+            for (sample, name) in SAMPLES {
+                if ui.button(name).clicked() {
+                    *wish = Some(PageWish::OpenSample(sample));
+                }
+            }
+        });
+        match problem_of(scene, Act::Sample) {
+            Some(problem) => style::problem(ui, problem),
+            None => small(ui, "A small volume that needs no file."),
+        }
+    });
+}
+
+fn problem_of<'a>(scene: &PageScene<'a>, act: Act) -> Option<&'a str> {
+    scene.problem.filter(|(of, _)| *of == act).map(|(_, problem)| problem)
+}
+
+fn small(ui: &mut Ui, text: &str) {
+    let text = RichText::new(text).size(12.0).color(quiet(ui.ctx()));
+    ui.add(egui::Label::new(text).wrap());
 }
 
 /// The page while something is being opened: name, progress, and a way out.
@@ -296,7 +309,7 @@ fn loading_page(ui: &mut Ui, opening: &Opening, has_session: bool) -> Option<Pag
     let (emblem_rect, _) = ui.allocate_exact_size(vec2(44.0, 36.0), Sense::hover());
     emblem(ui.painter(), emblem_rect.center(), 0.5, ui.visuals().dark_mode);
     ui.add_space(6.0);
-    ui.add(egui::Label::new(RichText::new(&opening.name).size(18.0)).truncate());
+    ui.add(egui::Label::new(title(&opening.name)).truncate());
     let wish = opening_rows(&mut ui, opening, true);
     if has_session && ui.button("Back to the picture meanwhile").clicked() {
         return Some(PageWish::Back);
@@ -314,7 +327,7 @@ pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -
         ui.add(egui::Label::new(RichText::new(text).size(12.0).color(color)).truncate());
     }
     let (text, share) = opening.progress();
-    ui.label(RichText::new(text).size(12.5));
+    ui.label(RichText::new(text).size(12.0));
     if let Some(fraction) = share {
         let percent = RichText::new(format!("{:.0} %", fraction * 100.0)).size(11.0);
         let bar = ui.add(egui::ProgressBar::new(fraction).desired_height(14.0).text(percent));
@@ -328,11 +341,6 @@ pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -
     is_cancelled.then_some(PageWish::Cancel)
 }
 
-fn title(ui: &mut Ui, text: &str) {
-    ui.label(RichText::new(text).size(15.0).strong());
-    ui.add_space(2.0);
-}
-
 /// The link in a pasted text, which may be a whole command line.
 fn link_in(text: &str) -> Result<Link, String> {
     let text = text.trim();
@@ -343,10 +351,16 @@ fn link_in(text: &str) -> Result<Link, String> {
     link.parse::<Link>().map_err(|e| sentence(&e))
 }
 
-/// Whether a file opens as a volume.
-pub(crate) fn is_volume(content: Content) -> bool {
-    matches!(content, Content::Volume(_) | Content::Folder)
-}
+const SAMPLES: [(Builtin, &str); 3] =
+    [(Builtin::Shells, "Shells"), (Builtin::Cloud, "Cloud"), (Builtin::Cubus, "Cubes")];
+/// Between cards, points.
+const GAP: f32 = 16.0;
+/// Height of the choices in a row, points.
+const CHOICE_HEIGHT: f32 = 148.0;
+/// The choices are in a row where it is at least this wide, points.
+const LEAST_WIDTH_OF_ROW: f32 = 640.0;
+/// Points.
+const LEAST_WIDTH_OF_CARD: f32 = 160.0;
 
 #[cfg(test)]
 mod tests {

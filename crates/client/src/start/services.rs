@@ -16,6 +16,8 @@ pub struct Services {
     pub servers: Arc<dyn LocalServers>,
     /// The file of the recent list; none: the list is not stored.
     pub recent_file: Option<PathBuf>,
+    /// Whether files are chosen by the system's dialog, where it has one.
+    pub has_system_dialog: bool,
     /// Seconds since 1970.
     pub calendar: fn() -> u64,
 }

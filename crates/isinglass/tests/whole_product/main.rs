@@ -13,7 +13,11 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod relay;
+#[expect(dead_code, reason = "each test file uses its own part of the module")]
+#[path = "../common/screen.rs"]
 mod screen;
+#[expect(dead_code, reason = "each test file uses its own part of the module")]
+#[path = "../common/viewer.rs"]
 mod viewer;
 
 use std::io::{BufRead, BufReader};

@@ -16,7 +16,7 @@ fn finish(w: &mut Harness<'_, ViewerApp<HereSource>>) {
 }
 
 /// A folder of its own, gone at the end.
-struct Folder(std::path::PathBuf);
+struct Folder(PathBuf);
 
 impl Folder {
     fn new(name: &str) -> Self {

@@ -133,6 +133,12 @@ struct Line {
     fixed: &'static str,
 }
 
+impl Line {
+    fn is_title(&self) -> bool {
+        self.entries.is_empty() && self.fixed.is_empty()
+    }
+}
+
 /// Why a setting is refused.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum BindingError {
@@ -252,6 +258,22 @@ impl Bindings {
         lines
     }
 
+    /// The lines of the help, by task.
+    pub(crate) fn tasks(&self) -> Vec<(&'static str, Vec<(String, &'static str)>)> {
+        let mut lines = self.lines().into_iter().peekable();
+        let mut tasks: Vec<(_, Vec<_>)> = Vec::new();
+        for line in TABLE {
+            if line.is_title() {
+                tasks.push((line.text, Vec::new()));
+            } else if let Some(shown) = lines.next_if(|(_, text)| *text == line.text)
+                && let Some((_, of_task)) = tasks.last_mut()
+            {
+                of_task.push(shown);
+            }
+        }
+        tasks
+    }
+
     /// The first chord of an action, for hints; empty if there is none.
     pub(crate) fn hint(&self, action: Action) -> String {
         let mut bound = entries().zip(&self.chords).filter(|((_, deed, _), _)| *deed == Deed::Act(action));
@@ -340,6 +362,11 @@ const fn keys(text: &'static str, entries: &'static [(&'static str, Deed, &'stat
     Line { text, entries, fixed: "" }
 }
 
+/// A title: the lines below it are for this task.
+const fn task(title: &'static str) -> Line {
+    Line { text: title, entries: &[], fixed: "" }
+}
+
 /// A line that settings cannot change.
 const fn fixed(keys: &'static str, text: &'static str) -> Line {
     Line { text, entries: &[], fixed: keys }
@@ -357,12 +384,12 @@ const fn step(step: Step) -> Deed {
 pub const REVERSE_WHEEL: &str = "reverse-wheel";
 
 const TABLE: &[Line] = &[
+    task("Turn, move and zoom"),
     keys("orbit", &[("orbit", Deed::Drag(Gesture::Orbit), &["left drag"])]),
     keys("pan", &[("pan", Deed::Drag(Gesture::Pan), &["middle drag", "shift+left drag"])]),
     keys("roll", &[("roll", Deed::Drag(Gesture::Roll), &["ctrl+left drag"])]),
     fixed("wheel, pinch", "zoom at the pointer"),
     keys("zoom", &[("zoom", Deed::Drag(Gesture::Zoom), &["right drag"])]),
-    keys("move the light", &[("light", Deed::Drag(Gesture::Light), &["ctrl+right drag"])]),
     fixed("double click", "turn about what is visible there"),
     keys("first view", &[("first-view", Deed::Act(Action::FirstView), &["r"])]),
     keys(
@@ -404,21 +431,10 @@ const TABLE: &[Line] = &[
         ],
     ),
     keys("perspective or orthographic", &[("projection", Deed::Act(Action::Projection), &["5"])]),
-    keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
+    task("Colours and light"),
     keys("look panel open or folded", &[("look", Deed::Act(Action::LookPanel), &["l"])]),
-    keys("full screen", &[("full-screen", Deed::Act(Action::FullScreen), &["F11"])]),
-    keys("numbers on or off", &[("numbers", Deed::Act(Action::Numbers), &["o"])]),
-    keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
-    keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
-    keys("legend of the colours on or off", &[("legend", Deed::Act(Action::Legend), &["k"])]),
-    keys("stereo: side by side, red-cyan, off", &[("stereo", Deed::Act(Action::Stereo), &["s"])]),
-    keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
-    keys("save a picture of the view", &[("picture", Deed::Act(Action::Picture), &["F12"])]),
-    keys(
-        "picture of another size, turntable",
-        &[("picture-dialog", Deed::Act(Action::PictureDialog), &["ctrl+shift+s"])],
-    ),
     keys("mode: composite, MIP, MinIP, average, isosurface", &[("mode", Deed::Act(Action::Mode), &["m"])]),
+    keys("move the light", &[("light", Deed::Drag(Gesture::Light), &["ctrl+right drag"])]),
     keys(
         "undo and redo edits of the transfer function",
         &[
@@ -426,23 +442,6 @@ const TABLE: &[Line] = &[
             ("redo", Deed::Act(Action::Redo), &["ctrl+shift+z"]),
         ],
     ),
-    keys(
-        "the time before, the next time",
-        &[
-            ("previous-time", Deed::Act(Action::StepTime(-1)), &["["]),
-            ("next-time", Deed::Act(Action::StepTime(1)), &["]"]),
-        ],
-    ),
-    keys(
-        "save the state of the view as a file",
-        &[("save-state", Deed::Act(Action::SaveState), &["ctrl+s"])],
-    ),
-    keys("open a state, a preset or a volume", &[("open-file", Deed::Act(Action::OpenFile), &["ctrl+o"])]),
-    keys(
-        "copy a link to the view; Ctrl+v shows what one says",
-        &[("copy-link", Deed::Act(Action::CopyLink), &["ctrl+l"])],
-    ),
-    keys("another volume or server, in `view`", &[("start", Deed::Act(Action::Start), &["ctrl+n"])]),
     fixed("in the curve: click, drag", "add a point, move one"),
     fixed("in the curve: middle click, Del", "remove a point"),
     fixed("in the curve: Insert, Enter", "add a point behind the chosen one"),
@@ -450,6 +449,39 @@ const TABLE: &[Line] = &[
     fixed("in the curve: Shift+left, Shift+right", "move a point along the values"),
     fixed("in the curve: right or ctrl+left drag", "level and window"),
     fixed("in the strip: arrows", "level; window"),
+    fixed("in the stops: as in the curve", "choose, move, add and remove colours"),
+    task("Measure, cut, watch"),
+    keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
+    keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
+    keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
+    keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
+    keys("legend of the colours on or off", &[("legend", Deed::Act(Action::Legend), &["k"])]),
+    keys(
+        "the time before, the next time",
+        &[
+            ("previous-time", Deed::Act(Action::StepTime(-1)), &["["]),
+            ("next-time", Deed::Act(Action::StepTime(1)), &["]"]),
+        ],
+    ),
+    keys("stereo: side by side, red-cyan, off", &[("stereo", Deed::Act(Action::Stereo), &["s"])]),
+    keys("full screen", &[("full-screen", Deed::Act(Action::FullScreen), &["F11"])]),
+    keys("numbers on or off", &[("numbers", Deed::Act(Action::Numbers), &["o"])]),
+    task("Files, pictures, window"),
+    keys("open a state, a preset or a volume", &[("open-file", Deed::Act(Action::OpenFile), &["ctrl+o"])]),
+    keys("another volume or server, in `view`", &[("start", Deed::Act(Action::Start), &["ctrl+n"])]),
+    keys(
+        "save the state of the view as a file",
+        &[("save-state", Deed::Act(Action::SaveState), &["ctrl+s"])],
+    ),
+    keys(
+        "copy a link to the view; Ctrl+v shows what one says",
+        &[("copy-link", Deed::Act(Action::CopyLink), &["ctrl+l"])],
+    ),
+    keys("save a picture of the view", &[("picture", Deed::Act(Action::Picture), &["F12"])]),
+    keys(
+        "picture of another size, turntable",
+        &[("picture-dialog", Deed::Act(Action::PictureDialog), &["ctrl+shift+s"])],
+    ),
     fixed("Tab, Shift+Tab", "the next control, the one before"),
     fixed("Ctrl++, Ctrl+-, Ctrl+0", "larger texts, smaller ones, as at first"),
     keys("this help", &[("help", Deed::Act(Action::Help), &["h", "F1"])]),

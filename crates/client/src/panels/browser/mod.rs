@@ -27,6 +27,8 @@ pub(crate) struct Browser {
     selected: Option<usize>,
     /// The name to select once the folder is listed.
     wanted_name: Option<String>,
+    /// Whether a folder of that name is shown instead of selected.
+    enters_wanted: bool,
     /// A name that was wanted and is not in the list.
     missing_name: Option<String>,
     scrolls: bool,
@@ -68,6 +70,7 @@ impl Browser {
             folder: Folder::open(folder, wake),
             selected: None,
             wanted_name: None,
+            enters_wanted: false,
             missing_name: None,
             scrolls: false,
             wants_focus: false,
@@ -82,7 +85,10 @@ impl Browser {
         Self { takes_texts: true, ..Self::new(folder, wake) }
     }
 
+    /// Gives the list the keyboard, and lists the folder anew: files may have come since.
     pub(crate) fn focus(&mut self) {
+        let selected = self.entry().map(|entry| entry.name.clone());
+        self.go_to(self.folder.path.clone(), selected);
         self.wants_focus = true;
     }
 
@@ -95,6 +101,7 @@ impl Browser {
         self.folder = Folder::open(folder, &self.wake);
         (self.selected, self.wanted_name, self.scrolls) = (None, select, true);
         (self.looked_at, self.takes_folder, self.missing_name) = (None, false, None);
+        self.enters_wanted = false;
     }
 
     fn go_up(&mut self) {
@@ -108,9 +115,17 @@ impl Browser {
     pub(crate) fn show(&mut self, ui: &mut Ui, volumes: Option<Volumes<'_>>, height: f32) -> Option<Chosen> {
         self.takes_volumes = volumes.is_some();
         self.folder.poll();
-        if let Some(name) = self.wanted_name.take_if(|_| !self.folder.is_listing) {
+        let is_told = |e: &Entry| !e.is_folder || e.content.is_some();
+        let is_unclear = |name: &str| {
+            self.enters_wanted && self.folder.entries.iter().any(|e| e.name == name && !is_told(e))
+        };
+        if let Some(name) = self.wanted_name.take_if(|name| !self.folder.is_listing && !is_unclear(name)) {
             let found = self.folder.entries.iter().position(|e| e.name == name);
             self.select(found);
+            let is_folder = self.entry().is_some_and(|entry| entry.is_folder);
+            if std::mem::take(&mut self.enters_wanted) && is_folder {
+                self.enter();
+            }
             // A folder that cannot be listed has its own line.
             self.missing_name = (found.is_none() && self.folder.problem.is_none()).then_some(name);
         }
@@ -163,13 +178,14 @@ impl Browser {
         });
     }
 
-    /// Shows the folder of a written path and selects its last part, which may be a file.
+    /// Shows a written folder, or the folder of a written file with that selected.
     fn go_to_text(&mut self, path: PathBuf) {
         let path = if path.is_relative() { self.folder.path.join(path) } else { path };
         let is_folder_text = self.path_text.trim_end().ends_with(['/', '\\']);
         match (path.parent(), path.file_name()) {
             (Some(parent), Some(name)) if !is_folder_text => {
                 self.go_to(parent.to_owned(), Some(name.to_string_lossy().into_owned()));
+                self.enters_wanted = true;
             }
             _ => self.go_to(path, None),
         }

@@ -13,7 +13,7 @@ fn everything(size: [f32; 2], pixels_per_point: f32) -> Stage {
         Recent { folder: None, entries: vec![entry(server, "head.nrrd"), entry(volume, "a film")] }
     };
     let mut stage = Stage::on_screen(Servers::default(), size, pixels_per_point, list);
-    wait_for_kinds(&mut stage.window);
+    stage.browse();
     stage.window.get_by_label("files").focus();
     stage.window.run_steps(2);
     stage.window.event(Event::Text("fi".into()));

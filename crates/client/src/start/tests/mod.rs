@@ -157,6 +157,7 @@ impl Stage {
         let services = Services {
             servers: servers.clone(),
             recent_file: Some(folder.path().join("recent.toml")),
+            has_system_dialog: false,
             calendar: || 1_000_000,
         };
         let micros = Arc::new(AtomicU64::new(0));
@@ -192,6 +193,13 @@ impl Stage {
         self.window.key_press_modifiers(Modifiers::COMMAND, Key::A);
         self.window.event(Event::Paste(text.into()));
         self.window.run_steps(2);
+    }
+
+    /// Opens the list of files.
+    fn browse(&mut self) {
+        self.window.key_press_modifiers(Modifiers::COMMAND, Key::O);
+        self.window.run_steps(3);
+        wait_for_kinds(&mut self.window);
     }
 
     fn has(&self, label: &str) -> bool {
@@ -277,8 +285,6 @@ fn a_pasted_link_connects_and_the_list_keeps_no_secret() {
     assert!(is_shown(&stage.window));
     stage.window.get_by_label("Open").click();
     stage.window.run_steps(3);
-    stage.window.get_by_label("Volume or server…").click();
-    stage.window.run_steps(3);
     stage.paste(&other.to_string());
     stage.window.get_by_label("Connect").click();
     stage.window.run_steps(2);
@@ -358,7 +364,7 @@ fn the_list_opens_volumes_asks_for_links_and_forgets() {
 #[test]
 fn files_are_found_chosen_and_opened_by_keyboard() {
     let mut stage = Stage::new(Servers::default(), |_| Recent::default());
-    wait_for_kinds(&mut stage.window);
+    stage.browse();
     stage.window.get_by_label("files").focus();
     stage.window.run_steps(2);
     // Folders first, then by name: inner, film, large, noise, notes.
@@ -495,7 +501,7 @@ fn files_that_are_dropped_are_told_apart_by_what_they_hold() {
     };
     drop_file(&mut stage, "notes.txt");
     until(&mut stage.window, "a message", |w| w.state().problem.is_some());
-    assert!(stage.has("notes.txt: found no volume or state that opens here"));
+    assert!(stage.has("notes.txt: another kind of text, which does not open here. isinglass opens volumes"));
     drop_file(&mut stage, "film.nrrd");
     until(&mut stage.window, "the volume", is_shown);
     assert!(stage.window.state().problem.is_none());
@@ -552,4 +558,62 @@ fn ctrl_o_opens_volumes_from_the_list_beside_the_picture() {
     assert!(stage.has("Open a file") && stage.window.state().opening.is_none());
     press(&mut stage.window, Key::Escape);
     assert!(!stage.has("Open a file") && is_shown(&stage.window));
+}
+
+#[test]
+fn a_written_folder_is_shown_and_files_that_come_later_are_listed() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    let data = stage.folder.path().join("data");
+    stage.browse();
+    for (text, folder) in [("inner", data.join("inner")), ("../film.nrrd", data.clone())] {
+        stage.window.get_by_label("path").focus();
+        stage.window.run_steps(2);
+        stage.window.key_press_modifiers(Modifiers::COMMAND, Key::A);
+        stage.window.event(Event::Text(text.into()));
+        stage.window.run_steps(2);
+        press(&mut stage.window, Key::Enter);
+        until(&mut stage.window, text, |w| {
+            let shown = w.state().page.browser.folder();
+            shown.canonicalize().ok() == folder.canonicalize().ok()
+        });
+        wait_for_kinds(&mut stage.window);
+    }
+    // A file's own folder is shown, and the file is selected.
+    until(&mut stage.window, "a header", |w| w.query_by_label_contains("6×5×4 uint8").is_some());
+    press(&mut stage.window, Key::Escape);
+    std::fs::write(data.join("seen.state.toml"), "isinglass_state = 1\n").unwrap();
+    assert!(!stage.has("seen.state.toml"));
+    stage.browse();
+    until(&mut stage.window, "the new file", |w| w.query_by_label("seen.state.toml").is_some());
+}
+
+#[test]
+fn files_over_the_window_are_announced() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    let hover = |stage: &mut Stage, name: &str| {
+        let path = stage.folder.path().join("data").join(name);
+        let file = egui::HoveredFile { path: Some(path), ..Default::default() };
+        stage.window.input_mut().hovered_files = vec![file];
+    };
+    for (name, told) in
+        [("film.nrrd", "Open film.nrrd, "), ("noise.bin", "noise.bin: no header that is known")]
+    {
+        hover(&mut stage, name);
+        until(&mut stage.window, told, |w| w.query_by_label_contains(told).is_some());
+    }
+    stage.window.input_mut().hovered_files.clear();
+    stage.window.run_steps(3);
+    assert!(!stage.has("noise.bin") && stage.window.state().opening.is_none(), "nothing was dropped");
+}
+
+#[test]
+fn a_sample_opens_and_what_was_open_has_its_picture_on_its_card() {
+    let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    stage.window.get_by_label("Shells").click();
+    stage.window.run_steps(2);
+    until(&mut stage.window, "a refusal", |w| w.state().problem.is_some());
+    // It is said in the card of the samples, below its buttons.
+    let (said, button) = (stage.window.get_by_label_contains("needs "), stage.window.get_by_label("Shells"));
+    assert!(said.rect().top() > button.rect().top() && said.rect().left() < button.rect().right() + 60.0);
+    assert!(said.rect().left() > stage.window.get_by_label("Connect").rect().left());
 }

@@ -67,7 +67,8 @@ fn a_raw_volume_is_opened_again_as_it_was_from_the_list_and_by_a_state() {
     until(&mut stage.window, "the volume", is_shown);
 
     // A state of it brings its shape along; without one the file says nothing of itself.
-    stage.window.state_mut().close();
+    let ctx = stage.window.ctx.clone();
+    stage.window.state_mut().close(&ctx);
     for (saved, is_opened) in [(VolumeSource::new(source), false), (volume, true)] {
         let saved = SavedVolume { name: "scan.raw".into(), dims: [6, 5, 2], ..SavedVolume::default() }
             .opened_from(&saved);

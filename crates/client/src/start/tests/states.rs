@@ -112,7 +112,7 @@ fn a_state_is_chosen_in_the_list_of_files() {
         std::fs::write(folder.join("data/seen.toml"), state.to_toml()).unwrap();
         Recent::default()
     });
-    wait_for_kinds(&mut stage.window);
+    stage.browse();
     stage.window.get_by_label("files").focus();
     stage.window.run_steps(2);
     stage.window.event(Event::Text("see".into()));

@@ -1,20 +1,21 @@
 //! What all panels share: panes, bars, icons, colours, and names for screen readers.
 
+mod theme;
+
 use std::sync::Arc;
 
 use egui::{Color32, FontData, FontDefinitions, Frame, Margin, Rect, RichText, Stroke, Ui};
 use lucide_icons::{Icon, LUCIDE_FONT_BYTES};
 
+use self::theme::Palette;
+pub(crate) use self::theme::{TEXT_SIZE, TITLE_SIZE};
+
 /// A pane on which text is readable over any picture.
 pub(crate) fn pane(ctx: &egui::Context) -> Frame {
-    let (fill, line) = if is_dark(ctx) {
-        (Color32::from_rgba_unmultiplied(14, 16, 20, 225), Color32::from_white_alpha(28))
-    } else {
-        (Color32::from_rgba_unmultiplied(246, 247, 249, 240), Color32::from_black_alpha(60))
-    };
+    let colors = Palette::of(ctx.theme());
     Frame::new()
-        .fill(fill)
-        .stroke(Stroke::new(1.0, line))
+        .fill(colors.pane)
+        .stroke(Stroke::new(1.0, colors.line))
         .corner_radius(6.0)
         .inner_margin(Margin::symmetric(10, 8))
 }
@@ -38,7 +39,7 @@ pub(crate) fn bar(ctx: &egui::Context) -> Frame {
 
 /// Colour of bars and of the docked panel.
 pub(crate) fn surface(ctx: &egui::Context) -> Color32 {
-    if is_dark(ctx) { Color32::from_rgb(24, 26, 31) } else { Color32::from_rgb(243, 244, 246) }
+    Palette::of(ctx.theme()).surface
 }
 
 /// An icon as text.
@@ -46,8 +47,8 @@ pub(crate) fn icon(icon: Icon) -> RichText {
     RichText::new(icon.unicode()).size(ICON_SIZE)
 }
 
-/// Gives a window its fonts, once.
-pub(crate) fn install_fonts(ctx: &egui::Context) {
+/// Gives a window its fonts and the look of its controls, once.
+pub(crate) fn install(ctx: &egui::Context) {
     let id = egui::Id::unique("fonts are installed");
     if ctx.data_mut(|data| std::mem::replace(data.get_temp_mut_or_default::<bool>(id), true)) {
         return;
@@ -59,24 +60,51 @@ pub(crate) fn install_fonts(ctx: &egui::Context) {
         family.insert(family.len().min(1), "icons".into());
     }
     ctx.set_fonts(fonts);
-}
-
-fn is_dark(ctx: &egui::Context) -> bool {
-    ctx.theme() == egui::Theme::Dark
+    theme::install(ctx);
 }
 
 /// Colours of main text, and of text beside it.
 pub(crate) fn bright(ctx: &egui::Context) -> Color32 {
-    if is_dark(ctx) { Color32::from_gray(232) } else { Color32::from_gray(20) }
+    Palette::of(ctx.theme()).bright
 }
 
 pub(crate) fn quiet(ctx: &egui::Context) -> Color32 {
-    if is_dark(ctx) { Color32::from_gray(178) } else { Color32::from_gray(70) }
+    Palette::of(ctx.theme()).quiet
+}
+
+/// Colour of what is chosen or goes on.
+pub(crate) fn accent(ctx: &egui::Context) -> Color32 {
+    Palette::of(ctx.theme()).accent
+}
+
+/// Colour of what is done and good.
+pub(crate) fn done(ctx: &egui::Context) -> Color32 {
+    Palette::of(ctx.theme()).done
+}
+
+/// Colour of trouble.
+pub(crate) fn amber(ctx: &egui::Context) -> Color32 {
+    Palette::of(ctx.theme()).amber
 }
 
 /// Colour of a line about a problem.
 pub(crate) fn warning(ui: &Ui) -> Color32 {
-    if ui.visuals().dark_mode { Color32::from_rgb(245, 205, 130) } else { Color32::from_rgb(150, 70, 0) }
+    amber(ui.ctx())
+}
+
+/// A card on a page.
+pub(crate) fn card(ctx: &egui::Context) -> Frame {
+    let colors = Palette::of(ctx.theme());
+    Frame::new()
+        .fill(colors.card)
+        .stroke(Stroke::new(1.0, colors.line))
+        .corner_radius(8.0)
+        .inner_margin(Margin::same(16))
+}
+
+/// A title of a part of a page.
+pub(crate) fn title(text: &str) -> RichText {
+    RichText::new(text).size(TITLE_SIZE).strong()
 }
 
 pub(crate) fn named(response: &egui::Response, role: egui::Role, name: &str) {

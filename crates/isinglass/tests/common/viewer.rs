@@ -19,6 +19,8 @@ pub(crate) struct Refresh {
     pub(crate) frame: Option<Pose>,
     /// Whether the picture is said to be the server's own.
     pub(crate) is_exact: bool,
+    /// Whether no server answers.
+    pub(crate) is_offline: bool,
 }
 
 /// See the module.
@@ -34,7 +36,7 @@ impl Viewer {
     pub(crate) fn start(bench: &Bench, line: &str) -> Self {
         let mut command = bench.command(line);
         command.env("DISPLAY", std::env::var_os("DISPLAY").unwrap());
-        command.env("XDG_STATE_HOME", bench.path("remembered"));
+        command.env("XDG_STATE_HOME", bench.path("remembered")).env("HOME", bench.path(""));
         command.env("RUST_LOG", "warn,isinglass_client::app::refresh=trace");
         command.stdout(Stdio::null()).stderr(File::create(bench.path("log")).unwrap());
         let process = Running(command.spawn().unwrap());
@@ -75,7 +77,13 @@ fn refresh(line: &str) -> Refresh {
     let (_, fields) = line.split_once("camera=").unwrap();
     let (camera, fields) = fields.split_once("frame=").unwrap();
     let (frame, standing) = fields.split_once("standing=").unwrap();
-    Refresh { camera: pose(camera).unwrap(), frame: pose(frame), is_exact: standing.trim() == "Exact" }
+    let standing = standing.trim();
+    Refresh {
+        camera: pose(camera).unwrap(),
+        frame: pose(frame),
+        is_exact: standing == "Exact",
+        is_offline: standing == "Offline",
+    }
 }
 
 /// The pose whose numbers stand in a text.
