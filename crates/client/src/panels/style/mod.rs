@@ -159,7 +159,7 @@ mod tests {
     fn the_signs_of_controls_have_glyphs() {
         let mut h = egui_kittest::Harness::new_ui_state(
             |ui, missing: &mut String| {
-                install_fonts(ui.ctx());
+                install(ui.ctx());
                 let font = egui::FontId::proportional(13.0);
                 let has = |c: char| ui.ctx().fonts_mut(|fonts| fonts.has_glyph(&font, c));
                 // Signs of rows and values.

@@ -10,6 +10,7 @@ use super::curve::{Curve, height_of, opacity_at};
 use super::stops::STOPS_HEIGHT;
 use super::{Selected, TransferEditor};
 use crate::input::pointer::notches_of;
+use crate::panels::style::accent;
 use crate::panels::text::{format_in, format_value};
 use crate::panels::value_scale::ValueScale;
 
@@ -541,7 +542,7 @@ impl Ink {
                 beyond: Color32::from_black_alpha(120),
                 curve: Color32::from_gray(235),
                 quiet: Color32::from_gray(165),
-                selection: Color32::from_rgb(255, 190, 70),
+                selection: accent(ui.ctx()),
             }
         } else {
             Self {
@@ -551,7 +552,7 @@ impl Ink {
                 beyond: Color32::from_black_alpha(22),
                 curve: Color32::from_gray(30),
                 quiet: Color32::from_gray(85),
-                selection: Color32::from_rgb(200, 100, 0),
+                selection: accent(ui.ctx()),
             }
         }
     }
