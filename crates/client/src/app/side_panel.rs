@@ -60,7 +60,7 @@ pub(crate) fn show(
         return None;
     }
     let is_iso = settings.look.mode == Mode::Iso;
-    let sections = |ui: &mut Ui, layout: Layout| {
+    let mut sections = |ui: &mut Ui, layout: Layout| {
         layout.section(ui, "Presets", true, |ui| {
             if let Some(entry) = settings.gallery.show(ui, &settings.look, settings.volume) {
                 editor.note_present();

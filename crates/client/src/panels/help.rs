@@ -19,10 +19,10 @@ pub(crate) fn show(ctx: &egui::Context, bindings: &Bindings, open: &mut bool, se
         .collapsible(false)
         .show(ctx, |ui| {
             let screen = ctx.content_rect().size();
-            let height = (screen.y - 110.0).max(80.0);
+            let height = (screen.y - 120.0).max(80.0);
             // The scroll bar has its own room.
             let bar = ui.spacing().scroll.allocated_width();
-            let width = (screen.x - 48.0 - bar).clamp(120.0, MOST_WIDTH);
+            let width = (screen.x - 64.0 - bar).clamp(120.0, MOST_WIDTH);
             let num_columns = ((width / LEAST_WIDTH_OF_COLUMN) as usize).clamp(1, MOST_COLUMNS);
             let field = egui::TextEdit::singleline(search).hint_text("find a key or a word");
             let field = ui.add(field.desired_width((width - 24.0).min(280.0)));

@@ -18,7 +18,7 @@ pub(super) fn choice<R>(
     let frame = card(ui.ctx());
     let shown = frame.show(ui, |ui| {
         ui.set_width(ui.available_width());
-        ui.set_min_height(height - 32.0);
+        ui.set_min_height((height - 32.0).max(0.0));
         ui.vertical(|ui| {
             ui.horizontal(|ui| {
                 ui.label(icon(symbol).size(22.0).color(accent(ui.ctx())));

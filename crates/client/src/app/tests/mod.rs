@@ -519,5 +519,6 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
 mod access;
 mod choices;
 mod clip;
+mod narrow;
 mod offline;
 mod states;

@@ -3,7 +3,7 @@
 
 use egui::style::{ScrollStyle, WidgetVisuals};
 use egui::{
-    Color32, CornerRadius, FontFamily, FontId, Margin, Stroke, Style, TextStyle, Theme, Visuals, vec2,
+    Color32, CornerRadius, FontFamily, FontId, Margin, Shadow, Stroke, Style, TextStyle, Theme, vec2,
 };
 
 /// The colours of a theme. A test holds their contrast on every background.
@@ -124,6 +124,8 @@ fn set(style: &mut Style, colors: &Palette) {
     let visuals = &mut style.visuals;
     (visuals.panel_fill, visuals.window_fill) = (colors.surface, colors.surface);
     visuals.window_stroke = Stroke::new(1.0, colors.line);
+    let shadow = Shadow { offset: [0, 4], blur: 12, spread: 0, color: Color32::from_black_alpha(80) };
+    (visuals.window_shadow, visuals.popup_shadow) = (shadow, shadow);
     (visuals.extreme_bg_color, visuals.faint_bg_color) = (colors.field, colors.buttons[2]);
     visuals.weak_text_color = Some(colors.quiet);
     (visuals.hyperlink_color, visuals.warn_fg_color, visuals.error_fg_color) =
@@ -167,6 +169,8 @@ pub(crate) fn contrast(a: Color32, b: Color32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use egui::Visuals;
+
     use super::*;
 
     /// Backgrounds of the picture that the panel offers.
@@ -250,11 +254,12 @@ mod tests {
         let ctx = egui::Context::default();
         super::super::install(&ctx);
         let mut widths = Vec::new();
-        let _ = ctx.run_ui(egui::RawInput::default(), |ui| {
+        let mut output = ctx.run_ui(egui::RawInput::default(), |ui| {
             let font = TextStyle::Body.resolve(ui.style());
             let width = |c: char| ui.fonts_mut(|fonts| fonts.glyph_width(&font, c));
             widths = "0123456789iW".chars().map(width).collect();
         });
+        output.textures_delta.clear();
         assert!(widths[..10].iter().all(|w| (w - widths[0]).abs() < 1e-3), "{widths:?}");
         assert!(widths[10] < widths[11], "{widths:?}");
     }

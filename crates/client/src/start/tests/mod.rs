@@ -253,7 +253,7 @@ fn press(window: &mut Window, key: Key) {
 fn wait_for_kinds(window: &mut Window) {
     until(window, "what files are", |w| {
         let names = ["film.nrrd", "small.nrrd"];
-        names.iter().any(|n| w.query_by_label(n).is_some())
+        names.iter().any(|n| w.query_all_by_label(n).next().is_some())
     });
     // What they hold comes after their names.
     for _ in 0..200 {

@@ -87,6 +87,7 @@ fn a_raw_volume_is_opened_again_as_it_was_from_the_list_and_by_a_state() {
 #[test]
 fn a_name_that_is_not_in_the_folder_is_said_to_be_missing() {
     let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+    stage.browse();
     let go_to = |stage: &mut Stage, name: &str| {
         let path = stage.folder.path().join("data").join(name).to_string_lossy().into_owned();
         stage.window.get_by_label("path").focus();
