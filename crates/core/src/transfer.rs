@@ -206,6 +206,14 @@ pub struct TransferTable {
 }
 
 impl TransferTable {
+    /// The table with every integral and integrand `factor` times as large.
+    pub fn scaled(mut self, factor: f32) -> Self {
+        for node in self.integral.iter_mut().chain(&mut self.density) {
+            *node = node.map(|x| x * factor);
+        }
+        self
+    }
+
     /// Whether a sample between the stored numbers `lo` and `hi` can have any extinction; it errs on the side of yes.
     pub fn is_visible(&self, lo: f32, hi: f32) -> bool {
         let (a, b) = self.positions(lo, hi);

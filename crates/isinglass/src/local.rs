@@ -113,6 +113,11 @@ pub(crate) fn services(backend: BackendChoice, max_memory: u64, first: Option<Fi
     }
 }
 
+/// The file of the window's choices.
+pub(crate) fn choices_file() -> Option<PathBuf> {
+    state_folder().map(|folder| folder.join("choices.toml"))
+}
+
 /// The folder where this user's programs keep their state.
 fn state_folder() -> Option<PathBuf> {
     let variable = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());

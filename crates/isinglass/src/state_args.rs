@@ -16,8 +16,8 @@ use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::OpenedScene;
 use isinglass_formats::{
-    ReadState, SavedCamera, SavedState, SavedVolume, Srgb, StereoPicture, read_state, state_from_link,
-    state_to_link,
+    ReadState, Remembered, SavedCamera, SavedState, SavedVolume, Srgb, StereoPicture, read_state,
+    state_from_link, state_to_link,
 };
 use isinglass_net::{Link, LinkError, state_of_link};
 
@@ -83,6 +83,12 @@ impl Seen {
     /// Whether a flag was given that changes the look.
     pub(crate) fn has_flags_of_look(&self) -> bool {
         OF_LOOK.iter().any(|field| self.given.has(field))
+    }
+
+    /// Whether a flag was given, or the state has a look, so that the light is chosen.
+    pub(crate) fn has_flags_of_light(&self) -> bool {
+        let fields = ["ambient_occlusion", "occlusion_radius", "shadows", "softness", "light"];
+        self.state.look.is_some() || fields.iter().any(|field| self.given.has(field))
     }
 
     /// Names of possible input files for a picture.
@@ -293,13 +299,14 @@ impl Seen {
         self.given.bindings.clone()
     }
 
-    /// For a window: its size, taken from the state unless one was given, and whether it is the state's; and the
-    /// state merged with flags.
+    /// For a window: its size, from a flag, the state or the person's choices, and whether it is the state's; and the
+    /// state merged with flags and choices.
     pub(crate) fn window(
         &self,
         size: [u32; 2],
         fov_degrees: f32,
         window: &WindowArgs,
+        choices: &Remembered,
     ) -> (([u32; 2], bool), SavedState) {
         let mut state = self.state.clone();
         let of_state = state.camera.map(|camera| camera.size).filter(|_| !self.given.has("size"));
@@ -309,8 +316,10 @@ impl Seen {
         }
         state.camera = state.camera.filter(|_| !has("orbit"));
         state.view.orthographic = state.view.orthographic.filter(|_| !has("orthographic"));
-        state.view = window.view(state.view, |field| self.given.has(field));
-        ((of_state.unwrap_or(size), of_state.is_some()), state)
+        let has = |field: &str| self.given.has(field);
+        state.view = window.view(state.view, &choices.view, has);
+        let chosen = choices.size.filter(|_| !has("size")).unwrap_or(size);
+        ((of_state.unwrap_or(chosen), of_state.is_some()), state)
     }
 }
 

@@ -59,8 +59,19 @@ impl WindowArgs {
         self.bars == Switch::On
     }
 
-    /// The same as a saved state, based on `saved`, with flags where `has` says they were given.
-    pub(crate) fn view(&self, saved: SavedView, has: impl Fn(&str) -> bool) -> SavedView {
+    /// The same as a saved state, based on `saved`, with flags where `has` says they were given. What neither says is
+    /// as the person `chose` before.
+    pub(crate) fn view(&self, saved: SavedView, chose: &SavedView, has: impl Fn(&str) -> bool) -> SavedView {
+        fn chosen<T>(saved: Option<T>, is_given: bool, chose: Option<T>) -> Option<T> {
+            saved.or_else(|| chose.filter(|_| !is_given))
+        }
+        let saved = SavedView {
+            shows_box: chosen(saved.shows_box, has("volume_box"), chose.shows_box),
+            shows_axes: chosen(saved.shows_axes, has("axes"), chose.shows_axes),
+            background: chosen(saved.background, has("background"), chose.background),
+            theme: chosen(saved.theme, has("theme"), chose.theme),
+            ..saved
+        };
         let is_on = |switch| switch == Switch::On;
         fn or<T>(saved: Option<T>, is_given: bool, flag: T) -> Option<T> {
             Some(saved.filter(|_| !is_given).unwrap_or(flag))

@@ -310,7 +310,12 @@ impl RenderThread {
             None if is_set => return Ok(()),
             None => {
                 let settings = MarchSettings { detail: Detail::Draft, ..look.march_settings() };
-                self.renderer.set_look(&look.transfer, settings)?;
+                let has_any = self.renderer.scene().illumination.has_occlusion();
+                let occluded = self.lights.occluded().filter(|_| look.lighting.is_on() && !has_any);
+                match occluded {
+                    Some(scene) => self.renderer.set_scene(scene.with_look(&look.transfer, settings))?,
+                    None => self.renderer.set_look(&look.transfer, settings)?,
+                }
             }
         }
         self.look = look.clone();

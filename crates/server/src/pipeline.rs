@@ -172,6 +172,23 @@ impl Pipeline {
         self.generating.as_ref().map(|at| &at.of)
     }
 
+    /// Gives up the frame that is being generated.
+    pub(crate) fn give_up_generating(&self) {
+        if let Some((_, wish)) = self.generating() {
+            wish.give_up();
+        }
+    }
+
+    /// Gives up the frame at the coder and the one that waits for it, where `is_overtaken` holds.
+    pub(crate) fn give_up_coding(&mut self, is_overtaken: impl Fn(&Asked) -> bool) {
+        if let Some(at) = self.coding.as_ref().filter(|at| is_overtaken(&at.of.sending.asked)) {
+            at.of.wish.give_up();
+        }
+        if let Some((asked, _)) = self.made.take_if(|(asked, _)| is_overtaken(asked)) {
+            self.drop_made(asked.header.frame);
+        }
+    }
+
     /// A frame is generated and waits for the coder.
     pub(crate) fn put_made(&mut self, asked: Asked, generated: Generated) {
         self.journal.stamp(asked.header.frame, Stage::Generated);

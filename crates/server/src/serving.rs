@@ -192,10 +192,12 @@ impl Viewer {
     /// Takes the viewer's requests so far.
     async fn take_requests(&mut self) {
         let now = self.now_micros();
-        let (pose, order, shot, look);
+        let (pose, order, shot, look, is_new_look);
         {
             let mut talk = self.session.talk();
-            if let Some(look) = talk.quietly().look.poll_wanted() {
+            let wanted = talk.quietly().look.poll_wanted();
+            is_new_look = wanted.is_some();
+            if let Some(look) = wanted {
                 tracing::info!(transfer = look.transfer.name, k = look.k, "new look");
                 let is_whole = self.present.lights.is_fine(&look);
                 talk.look.begin(now, look, is_whole);
@@ -209,6 +211,9 @@ impl Viewer {
             let quiet = talk.quietly();
             (pose, order) = (quiet.pose.poll_new(), quiet.selection.poll_order());
             (shot, look) = (quiet.screenshot.poll_request(), quiet.look.look().clone());
+        }
+        if is_new_look {
+            self.note_look();
         }
         if let Some(pose) = pose {
             self.note_pose(&pose);

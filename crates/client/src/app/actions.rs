@@ -52,6 +52,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     self.is_look_open = !self.is_look_open;
                     self.gallery.retry();
                 }
+                Action::Legend => self.aids.shows_legend = !self.aids.shows_legend,
                 Action::Box => self.aids.shows_box = !self.aids.shows_box,
                 Action::Clip => self.toggle_clip(now),
                 Action::Slices => self.toggle_slices(),

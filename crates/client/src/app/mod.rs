@@ -3,6 +3,7 @@
 
 mod actions;
 mod bars;
+mod choices;
 mod icon_strip;
 mod measure;
 pub(crate) mod open_dialog;
@@ -27,6 +28,7 @@ use isinglass_core::space::Aabb;
 use isinglass_formats::{LoadRequest, NamedView, ReadState, UpAxis, VolumeSource};
 use isinglass_net::{Clock, Link};
 
+use self::choices::ChoiceKeeper;
 use self::measure::SeenPicture;
 use self::open_dialog::OpenDialog;
 use self::options::{USUAL_HZ, WindowOptions};
@@ -153,6 +155,7 @@ pub(crate) struct ViewerApp<S> {
     reported_at: Duration,
     parts_bar: PartsBar,
     wish: Option<AppWish>,
+    keeper: ChoiceKeeper,
 }
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -167,6 +170,8 @@ impl<S: FrameSource> ViewerApp<S> {
         let opened_at = Duration::from_micros(clock.now_micros());
         let viewing = Viewing::new(source, options.frame_size, options.foresight);
         let shows_panel = options.shows_panel;
+        let (file, chosen) = (options.choices_file.clone(), options.choices.clone());
+        let keeper = ChoiceKeeper::new(file, chosen, options.has_light);
         let quality = QualityControl::new(options.refresh_hz.unwrap_or(USUAL_HZ));
         Self {
             stereo: options.stereo,
@@ -224,6 +229,7 @@ impl<S: FrameSource> ViewerApp<S> {
             reported_at: Duration::ZERO,
             parts_bar: PartsBar::default(),
             wish: None,
+            keeper,
         }
     }
 
@@ -245,6 +251,7 @@ impl<S: FrameSource> ViewerApp<S> {
         self.slices.forget();
         self.measures.set(Vec::new());
         (self.measure_pane, self.seen_picture) = (MeasurePane::default(), None);
+        self.keeper.turn();
         (self.coming, self.wish) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
         (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);

@@ -1,9 +1,10 @@
 //! What whoever opens a window can set.
 
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isinglass_formats::{SavedState, VolumeSource};
+use isinglass_formats::{Remembered, SavedState, VolumeSource};
 use isinglass_net::Link;
 
 use super::script::Script;
@@ -57,6 +58,12 @@ pub struct WindowOptions {
     pub bindings: Bindings,
     /// Records the path of the camera.
     pub recorder: Option<Arc<Mutex<CameraPath>>>,
+    /// What the person chose before.
+    pub choices: Remembered,
+    /// The file for choices; none if nothing is remembered.
+    pub choices_file: Option<PathBuf>,
+    /// Whether somebody chose the light of the first volume already.
+    pub has_light: bool,
     /// Watches every refresh, for tests and pictures of the window.
     pub script: Option<Script>,
 }
@@ -84,6 +91,9 @@ impl Default for WindowOptions {
             link: None,
             bindings: Bindings::default(),
             recorder: None,
+            choices: Remembered::default(),
+            choices_file: None,
+            has_light: false,
             script: None,
         }
     }

@@ -5,14 +5,19 @@ use std::time::Duration;
 
 use egui::PointerButton;
 use isinglass_core::camera::Intrinsics;
+use isinglass_core::wire::Welcome;
 use isinglass_net::ReceivedFrame;
 
 use super::{ViewerApp, is_free};
 use crate::paint::clip_editor;
+use crate::paint::legend::Legend;
 use crate::paint::novel_view::Shown;
 use crate::paint::picture::PicturePaint;
 use crate::paint::stereo::Stereo;
 use crate::paint::view_aids::{self, ViewAids, pixel_at};
+use crate::panels::style;
+use crate::panels::text::format_in;
+use crate::panels::value_scale::ValueScale;
 use crate::view::frame_source::FrameSource;
 use crate::view::pick::visible_point;
 use crate::view::viewing::{Refresh, Standing};
@@ -134,6 +139,23 @@ impl<S: FrameSource> ViewerApp<S> {
                 ui.ctx().request_repaint();
             }
         }
+        if self.aids.shows_legend {
+            self.paint_legend(ui, rect, &description);
+        }
+    }
+
+    fn paint_legend(&self, ui: &egui::Ui, rect: egui::Rect, description: &Welcome) {
+        let (Some(look), Some(bar)) = (self.viewing.look(), Legend::rect(rect)) else { return };
+        let domain = ValueScale::of(&description.volume).domain(&look.transfer.domain);
+        let legend = Legend {
+            transfer: &look.transfer,
+            domain,
+            unit: description.volume.value_unit.as_deref(),
+            mode: look.mode,
+            format: &|value| format_in(value, domain.1 - domain.0),
+        };
+        legend.paint(&self.aids.pen(ui.painter()), bar);
+        style::image(ui, bar, "legend", &legend.in_words());
     }
 
     pub(super) fn marks_center(&self, now: Duration) -> bool {

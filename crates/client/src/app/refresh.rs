@@ -140,6 +140,8 @@ impl<S: FrameSource> ViewerApp<S> {
                 first_page::show(ui, &self.options.server_name, &state, seconds, &help);
             }
         }
+        let has_frame = refresh.as_ref().is_some_and(|r| r.frame.is_some());
+        self.keep_choices(&ctx, now, has_frame);
         self.show_parts(&ctx, now);
         self.show_screenshots(&ctx, now, refresh.as_ref());
         self.show_open_dialog(&ctx);

@@ -129,6 +129,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let unit = description.volume.unit.clone();
         self.poll_gallery(ctx, &look, &scale, &description.volume);
         let before = self.shown_settings();
+        let mut resets_choices = false;
         let mut settings = LookSettings {
             look: (*look).clone(),
             gallery: &self.gallery,
@@ -145,6 +146,7 @@ impl<S: FrameSource> ViewerApp<S> {
             forward,
             bindings: &self.options.bindings,
             world_from_view,
+            resets_choices: &mut resets_choices,
         };
         let files = &mut self.state_files;
         let frame = Self::panel_frame(ctx);
@@ -171,6 +173,9 @@ impl<S: FrameSource> ViewerApp<S> {
             self.viewing.set_look(now, wanted);
             // The picture has to be labelled as older.
             ctx.request_repaint();
+        }
+        if resets_choices {
+            self.reset_choices(ctx, now);
         }
         if let Some(wish) = wish {
             self.do_state(ctx, now, wish);

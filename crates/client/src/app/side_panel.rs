@@ -4,7 +4,7 @@ use egui::{Panel, Ui};
 use glam::Vec3;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
-use isinglass_core::mode::Mode;
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::VolumeDescription;
 
@@ -19,7 +19,7 @@ use crate::panels::state_files::{StateFiles, StateWish};
 use crate::panels::style::title;
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
-use crate::panels::{clip, light, surfaces};
+use crate::panels::{clip, color_well, light, surfaces};
 use crate::view::viewing::FrameSize;
 
 /// What the panel shows and changes beside the transfer function.
@@ -41,6 +41,8 @@ pub(crate) struct LookSettings<'a> {
     pub(crate) forward: Vec3,
     pub(crate) bindings: &'a Bindings,
     pub(crate) world_from_view: glam::Quat,
+    /// Set when the person resets the choices.
+    pub(crate) resets_choices: &'a mut bool,
 }
 
 /// Docks the panel at the right of `ui` while it is open, and changes the settings. Returns what to do with states.
@@ -68,7 +70,8 @@ pub(crate) fn show(
         if settings.look.mode == Mode::Iso {
             layout.section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
         }
-        layout.section(ui, "Transfer function", true, |ui| editor.show(ui, scale));
+        let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
+        layout.section(ui, "Transfer function", true, |ui| editor.show(ui, scale, surfaces.as_slice()));
         layout.section(ui, "Light", false, |ui| {
             light::show(ui, &mut settings.look, settings.world_from_view);
         });
@@ -124,7 +127,7 @@ impl Layout {
 
 fn frames(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     let LookSettings { look, frame_size, methods, method, stereo, .. } = settings;
-    egui::Grid::new("frames").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+    ui.vertical(|ui| {
         row(ui, "layers per pixel", "more follow a turn better, and take more of the network", |ui| {
             let slider = egui::Slider::new(&mut look.k, 1..=MAX_K as u8).update_while_editing(false);
             ui.add(slider.custom_parser(controls::reader(ui)))
@@ -182,14 +185,14 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     ui.horizontal(|ui| {
         ui.checkbox(&mut aids.shows_axes, axes);
         ui.checkbox(&mut aids.shows_box, volume_box);
+        ui.checkbox(&mut aids.shows_legend, settings.bindings.with_key("legend", Action::Legend));
     });
     ui.horizontal(|ui| {
         ui.label("background");
         for (name, color) in [("black", [0; 3]), ("grey", [58, 60, 66]), ("white", [255; 3])] {
             ui.selectable_value(&mut aids.background, color, name);
         }
-        let color = ui.color_edit_button_srgb(&mut aids.background);
-        color.widget_info(|| egui::WidgetInfo::labeled(egui::Role::ColorWell, true, "background colour"));
+        color_well::show(ui, &mut aids.background, "background colour");
     });
     ui.horizontal(|ui| {
         ui.label("theme");
@@ -204,6 +207,9 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
             }
         }
     });
+    let reset = ui.button("reset choices");
+    let reset = reset.on_hover_text("panel, theme, background, axes and light as at the first start");
+    *settings.resets_choices |= reset.clicked();
 }
 
 const SECTIONS: [&str; 8] =

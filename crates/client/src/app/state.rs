@@ -198,6 +198,7 @@ impl<S: FrameSource> ViewerApp<S> {
             self.editor.note_present();
             self.viewing.set_look(now, look.clone());
         }
+        self.keeper.forget_shown(state.look.is_some());
         ctx.request_repaint();
         note
     }
@@ -446,7 +447,7 @@ pub(crate) fn theme_preference(theme: Theme) -> ThemePreference {
     THEMES.iter().find(|(t, _)| *t == theme).map_or(ThemePreference::Dark, |(_, preference)| *preference)
 }
 
-const THEMES: [(Theme, ThemePreference); 3] = [
+pub(super) const THEMES: [(Theme, ThemePreference); 3] = [
     (Theme::Dark, ThemePreference::Dark),
     (Theme::Light, ThemePreference::Light),
     (Theme::System, ThemePreference::System),

@@ -3,6 +3,7 @@
 pub(crate) mod clip_editor;
 pub(crate) mod frame_slots;
 pub(crate) mod gpu_timer;
+pub(crate) mod legend;
 pub(crate) mod measure;
 pub(crate) mod novel_view;
 pub(crate) mod picture;

@@ -14,13 +14,15 @@ pub(crate) struct ViewAids {
     pub(crate) shows_box: bool,
     /// Axes and scale bar.
     pub(crate) shows_axes: bool,
+    /// The key to the colours.
+    pub(crate) shows_legend: bool,
     /// sRGB behind the volume.
     pub(crate) background: [u8; 3],
 }
 
 impl Default for ViewAids {
     fn default() -> Self {
-        Self { shows_box: false, shows_axes: true, background: [0; 3] }
+        Self { shows_box: false, shows_axes: true, shows_legend: false, background: [0; 3] }
     }
 }
 

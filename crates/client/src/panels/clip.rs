@@ -33,7 +33,7 @@ pub(crate) fn show(
         }
         ui.checkbox(&mut editor.is_shown, bindings.with_key("handles", Action::Clip));
     });
-    egui::Grid::new("clip").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+    ui.vertical(|ui| {
         if let Some(inner) = &mut clip.bounds {
             box_rows(ui, inner, bounds, &suffix);
         }

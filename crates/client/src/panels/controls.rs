@@ -44,11 +44,32 @@ pub(crate) fn whole<'a, N: Numeric>(ui: &Ui, value: &'a mut N, range: RangeInclu
     DragValue::new(value).range(range).update_while_editing(false).custom_parser(reader(ui))
 }
 
-/// A line of a grid: a name, and the control that screen readers call by it.
+/// A line of a panel: a name in the column of names, and the control that screen readers call by it. A slider or list
+/// fills the rest.
 pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> Response) {
-    let label = ui.label(name).on_hover_text(hint);
-    control(ui).labelled_by(label.id).on_hover_text(hint);
-    ui.end_row();
+    ui.horizontal(|ui| {
+        let label = name_cell(ui, name).on_hover_text(hint);
+        fill_row(ui);
+        control(ui).labelled_by(label.id).on_hover_text(hint);
+    });
+}
+
+/// A name in the column of names.
+pub(crate) fn name_cell(ui: &mut Ui, name: &str) -> Response {
+    let size = egui::vec2(NAME_WIDTH, ui.spacing().interact_size.y);
+    let layout = egui::Layout::left_to_right(egui::Align::Center);
+    let cell = ui.allocate_ui_with_layout(size, layout, |ui| {
+        ui.set_min_width(NAME_WIDTH);
+        ui.label(name)
+    });
+    cell.inner
+}
+
+/// Lets a slider with its number, or a list, fill the rest of a line.
+pub(crate) fn fill_row(ui: &mut Ui) {
+    let room = ui.available_width();
+    ui.spacing_mut().slider_width = (room - NUMBER_WIDTH).max(60.0);
+    ui.spacing_mut().combo_width = (room - 8.0).max(60.0);
 }
 
 /// Gives a control with a number its name and value for screen readers.
@@ -75,6 +96,11 @@ fn read(text: &str) -> Option<f64> {
     let plain = text.chars().filter(|c| !c.is_whitespace()).map(|c| if c == '−' { '-' } else { c });
     plain.collect::<String>().parse().ok()
 }
+
+/// Width of the column of names, points.
+const NAME_WIDTH: f32 = 112.0;
+/// Room of a slider's number, points.
+const NUMBER_WIDTH: f32 = 66.0;
 
 #[cfg(test)]
 mod tests {

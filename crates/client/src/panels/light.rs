@@ -13,7 +13,7 @@ use super::style::named;
 /// Shows the section and changes the light. `world_from_view` is the rotation of the camera.
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, world_from_view: Quat) {
     let Look { shaded, lighting, .. } = look;
-    egui::Grid::new("light").num_columns(2).spacing([14.0, 6.0]).show(ui, |ui| {
+    ui.vertical(|ui| {
         row(ui, "shading", "shows surfaces by how they face the light", |ui| ui.checkbox(shaded, ""));
         row(ui, "ambient occlusion", "how much darker matter is that sees little of the sky", |ui| {
             percent(ui, &mut lighting.ambient_occlusion, 0.0..=100.0)
@@ -44,10 +44,15 @@ pub(crate) fn show(ui: &mut Ui, look: &mut Look, world_from_view: Quat) {
         ui.vertical(|ui| {
             ui.label("drag the light; beyond the rim it is behind");
             if ui.button("reset the light").clicked() {
-                *lighting = Lighting::default();
+                *lighting = usual_lighting();
             }
         });
     });
+}
+
+/// The light of a volume for which nobody chose another.
+pub(crate) fn usual_lighting() -> Lighting {
+    Lighting { ambient_occlusion: 0.5, ..Lighting::default() }
 }
 
 /// The light after a drag in a picture of `height` pixels. A drag over the whole height is half a turn.

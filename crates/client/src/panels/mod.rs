@@ -1,12 +1,13 @@
 //! The panels over the picture. A panel shows what it is given and returns what the person asks for.
 //!
-//! Panels do not know each other; `app` places them. What they share is in `background`, `controls`, `file_field`,
-//! `known_files`, `part_pickers`, `style`, `text` and `value_scale`.
+//! Panels do not know each other; `app` places them. What they share is in `background`, `color_well`, `controls`,
+//! `file_field`, `known_files`, `part_pickers`, `style`, `text` and `value_scale`.
 
 pub(crate) mod background;
 pub(crate) mod banner;
 pub(crate) mod browser;
 pub(crate) mod clip;
+pub(crate) mod color_well;
 pub(crate) mod controls;
 pub(crate) mod file_field;
 pub(crate) mod first_page;

@@ -1,6 +1,6 @@
 //! Controls that choose a part of a file: its time, and lists of channels, levels and series.
 
-use egui::{ComboBox, Response, RichText, Role, Ui};
+use egui::{ComboBox, EventFilter, Key, Modifiers, Response, RichText, Role, Ui};
 
 use super::controls::whole;
 use super::style::{named, quiet};
@@ -29,7 +29,24 @@ pub(crate) fn list(
         }
     });
     named(&combo.response, Role::ComboBox, what);
+    let is_closed = combo.inner.is_none();
+    if combo.response.has_focus() && is_closed {
+        step_by_keys(ui, &combo.response, chosen, number.min(MAX_ENTRIES) as u32);
+    }
     *chosen != before
+}
+
+/// Up and down choose the entry before and the next one of a closed list, as everywhere in the system.
+fn step_by_keys(ui: &Ui, list: &Response, chosen: &mut u32, number: u32) {
+    let filter = EventFilter { vertical_arrows: true, ..Default::default() };
+    ui.memory_mut(|m| m.set_focus_lock_filter(list.id, filter));
+    let pressed = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
+    if pressed(Key::ArrowUp) {
+        *chosen = chosen.saturating_sub(1);
+    }
+    if pressed(Key::ArrowDown) {
+        *chosen = (*chosen + 1).min(number.saturating_sub(1));
+    }
 }
 
 pub(crate) fn label(ui: &mut Ui, text: &str) {
@@ -49,3 +66,36 @@ pub(crate) fn numbered(i: u32, name: Option<&String>) -> String {
 const LIST_WIDTH: f32 = 130.0;
 /// Entries of a list, at most.
 const MAX_ENTRIES: usize = 4096;
+
+#[cfg(test)]
+mod tests {
+    use egui_kittest::Harness;
+    use egui_kittest::kittest::Queryable;
+
+    use super::*;
+
+    #[test]
+    fn arrows_choose_in_a_closed_list_and_stop_at_its_ends() {
+        let show = |ui: &mut Ui, chosen: &mut u32| {
+            list(ui, "channel", 3, chosen, |i| format!("channel {i}"));
+            _ = ui.button("other");
+        };
+        let mut h = Harness::new_ui_state(show, 0);
+        let press = |h: &mut Harness<'_, u32>, key| {
+            h.key_press_modifiers(Modifiers::NONE, key);
+            h.run();
+        };
+        // Negative control: without the focus, arrows are for others.
+        press(&mut h, Key::ArrowDown);
+        assert_eq!(*h.state(), 0);
+        h.get_by_role_and_label(Role::ComboBox, "channel").focus();
+        h.run();
+        for expected in [1, 2, 2] {
+            press(&mut h, Key::ArrowDown);
+            assert_eq!(*h.state(), expected);
+        }
+        press(&mut h, Key::ArrowUp);
+        assert_eq!(*h.state(), 1);
+        assert!(h.get_by_role_and_label(Role::ComboBox, "channel").is_focused(), "the list keeps the focus");
+    }
+}

@@ -16,25 +16,31 @@ pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     let num = isos.len();
     for (i, iso) in isos.iter_mut().enumerate() {
         ui.horizontal(|ui| {
-            ui.spacing_mut().slider_width = (ui.available_width() - 168.0).max(60.0);
-            let slider = controls::slider(ui, &mut iso.value, lo..=hi, |v| format_in(v, scale.span()));
-            let slider = ui.add(slider.clamping(SliderClamping::Never));
-            let name = format!("value of surface {}", i + 1);
-            named_number(&slider, egui::Role::Slider, &name, iso.value);
-            slider.on_hover_text(name.clone());
-            let mut percent = iso.opacity * 100.0;
-            let drag = controls::field(ui, &mut percent, |v| format!("{v:.0}"));
-            let drag = ui.add(drag.range(0.0..=100.0).speed(0.5).max_decimals(0).suffix(" %"));
-            let name = format!("opacity of surface {}", i + 1);
-            named_number(&drag, egui::Role::SpinButton, &name, percent);
-            if drag.on_hover_text(name.clone()).changed() {
-                iso.opacity = percent / 100.0;
-            }
+            ui.label(format!("surface {}", i + 1));
             let remove = ui.add_enabled(num > 1, egui::Button::new("−").small());
             let name = format!("remove surface {}", i + 1);
             remove.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, num > 1, &name));
             if remove.on_hover_text(name.clone()).clicked() {
                 removed = Some(i);
+            }
+        });
+        ui.horizontal(|ui| {
+            controls::name_cell(ui, "value");
+            controls::fill_row(ui);
+            let slider = controls::slider(ui, &mut iso.value, lo..=hi, |v| format_in(v, scale.span()));
+            let slider = ui.add(slider.clamping(SliderClamping::Never));
+            named_number(&slider, egui::Role::Slider, &format!("value of surface {}", i + 1), iso.value);
+            slider.on_hover_text("the surface lies where the volume has this value: a line in the histogram");
+        });
+        ui.horizontal(|ui| {
+            controls::name_cell(ui, "opacity");
+            controls::fill_row(ui);
+            let mut percent = iso.opacity * 100.0;
+            let slider = controls::slider(ui, &mut percent, 0.0..=100.0, |v| format!("{v:.0}"));
+            let slider = ui.add(slider.max_decimals(0).suffix(" %"));
+            named_number(&slider, egui::Role::Slider, &format!("opacity of surface {}", i + 1), percent);
+            if slider.changed() {
+                iso.opacity = percent / 100.0;
             }
         });
     }

@@ -105,6 +105,7 @@ impl Toolbar<'_> {
             ("Clip", Action::Clip),
             ("Probe values", Action::Probe),
             ("Measure", Action::Measure),
+            ("Legend of the colours", Action::Legend),
             ("Save a picture", Action::Picture),
             ("Copy a link to the view", Action::CopyLink),
             ("Full screen", Action::FullScreen),

@@ -287,7 +287,7 @@ impl<S: FrameSource> Viewing<S> {
         if !self.is_moving(now) {
             // An edit first appears in a small frame; the full one is requested when the hand rests.
             return match self.is_changing_look(now) {
-                true => self.frame_size.moving_frame_for(picture, max_side, self.micros_per_list),
+                true => self.draft_size(picture, max_side),
                 false => full,
             };
         }
@@ -336,10 +336,32 @@ impl<S: FrameSource> Viewing<S> {
 
     /// Requests another look; an invalid one is ignored.
     pub fn set_look(&mut self, now: Duration, look: Look) {
-        match self.source.talk().look.set(now.as_micros() as u64, look) {
-            Ok(()) => self.look_changed_at = Some(now),
+        let set = self.source.talk().look.set(now.as_micros() as u64, look);
+        match set {
+            Ok(()) => {
+                self.look_changed_at = Some(now);
+                self.ask_for_draft(now);
+            }
             Err(e) => tracing::warn!("look ignored: {e}"),
         }
+    }
+
+    /// Requests a small frame in the moment of an edit. Otherwise the server begins a whole frame of the new look before
+    /// the next refresh says that the hand is at work.
+    fn ask_for_draft(&mut self, now: Duration) {
+        let Some((pose, _)) = self.asked.filter(|_| !self.is_moving(now)) else { return };
+        let Some((camera, Some(_))) = &self.last else { return };
+        let max_side = self.source.description().map_or(u32::MAX, |d| d.max_side);
+        let wish = (pose, self.draft_size(camera.intrinsics, max_side));
+        if self.asked.replace(wish) != Some(wish) {
+            self.source.set_pose(now, wish.0, wish.1);
+        }
+    }
+
+    /// The size of a frame that shows an edit first.
+    fn draft_size(&self, picture: Intrinsics, max_side: u32) -> Intrinsics {
+        let cost = self.micros_per_list.unwrap_or(UNKNOWN_MICROS_PER_LIST);
+        self.frame_size.moving_frame_for(picture, max_side, Some(cost))
     }
 
     /// Whether a picture of a frame has the last requested look. That holds for a frame with it, or with one that
@@ -380,6 +402,13 @@ impl<S: FrameSource> Viewing<S> {
             let micros = (cost.generate_micros + cost.encode_micros) as f32;
             self.micros_per_list = Some(micros / header.camera.intrinsics.num_pixels() as f32);
         }
+    }
+
+    /// The server's time for a whole frame of the picture, once it is known.
+    pub fn time_of_frame(&self) -> Option<Duration> {
+        let (camera, _) = self.last.as_ref()?;
+        let whole = self.frame_size.frame_for(camera.intrinsics, u32::MAX);
+        Some(Duration::from_micros((self.micros_per_list? * whole.num_pixels() as f32) as u64))
     }
 
     fn standing(

@@ -85,7 +85,8 @@ pub struct Scene {
     pub bricks: Arc<Bricks>,
     /// Their histogram.
     pub histogram: Arc<Histogram>,
-    /// Classification; in a projection, the display colour of a value ([`TransferFunction::shown_table`]).
+    /// Classification; in a projection, the display colour of a value ([`TransferFunction::shown_table`]), and for the
+    /// mean that times the [`exposure`](TransferFunction::exposure).
     pub table: TransferTable,
     /// The surfaces of [`Mode::Iso`], by ascending position.
     pub surfaces: Vec<Surface>,
@@ -176,7 +177,9 @@ fn classify(
     settings: &MarchSettings,
 ) -> (TransferTable, Vec<Surface>) {
     if settings.mode.is_projection() {
-        return (transfer.shown_table(volume, histogram), Vec::new());
+        let table = transfer.shown_table(volume, histogram);
+        let exposure = if settings.mode == Mode::Average { transfer.exposure(volume, &table) } else { 1.0 };
+        return (table.scaled(exposure), Vec::new());
     }
     let table = transfer.table(volume, histogram);
     let surfaces = if settings.mode == Mode::Iso {

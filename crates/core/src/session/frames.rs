@@ -66,8 +66,8 @@ pub struct FramesServer {
     answered: Option<(PoseId, LookVersion)>,
     /// The newest frame that the network has, unless it is being sent again.
     sent: Option<Sending>,
-    /// Whether the previous frame was given up, so that this one is not.
-    has_given_up: bool,
+    /// Number of frames given up since the last one that was generated.
+    num_given_up: u8,
     /// Whether the renderer was lost during the previous frame.
     has_failed: bool,
 }
@@ -83,7 +83,7 @@ impl FramesServer {
             rests: false,
             answered: None,
             sent: None,
-            has_given_up: false,
+            num_given_up: 0,
             has_failed: false,
         }
     }
@@ -130,27 +130,45 @@ impl FramesServer {
 
     /// A newer pose has arrived. Returns whether the `generated` frame is given up for it.
     ///
-    /// A frame for a resting camera is larger and blocks the frames of a moving one. Two frames in a row are never
-    /// given up: a viewer with a low refresh rate would get none.
+    /// A frame for a resting camera is larger and blocks the frames of a moving one. While anything changes, even only
+    /// the look, the viewer requests smaller frames, and a much larger one ends for them at once.
     pub fn handle_pose(&mut self, now_micros: u64, newest: &PoseRequest, generated: Option<&Asked>) -> bool {
-        let has_rested = std::mem::take(&mut self.rests) && !self.has_given_up;
-        generated.filter(|_| has_rested).is_some_and(|asked| {
-            // While anything changes, even only the look, the viewer requests smaller frames.
+        let has_rested = std::mem::take(&mut self.rests);
+        generated.is_some_and(|asked| {
             let is_smaller = newest.intrinsics.num_pixels() < asked.request.intrinsics.num_pixels();
             let is_outdated = newest.pose != asked.request.pose || is_smaller;
-            is_outdated && now_micros >= asked.at_micros + LONG_REST_MICROS
+            let is_long = is_outdated && has_rested && self.is_long(now_micros, asked);
+            let is_after_one = self.num_given_up < MOST_GIVEN_UP && is_much_larger(asked, newest);
+            is_after_one || (is_long && self.num_given_up == 0)
         })
+    }
+
+    /// The viewer has another look. Returns whether the `generated` frame is given up for it. An edit that begins
+    /// comes with a smaller request, see [`Self::handle_pose`].
+    pub fn handle_look(&self, now_micros: u64, generated: Option<&Asked>) -> bool {
+        generated.is_some_and(|asked| self.num_given_up == 0 && self.is_long(now_micros, asked))
+    }
+
+    /// Whether a frame at the coder or before it is given up: it is much larger than what the viewer requests now, and
+    /// of another look. A smaller frame of the new look takes its place, and never ends in this way itself.
+    pub fn is_overtaken(asked: &Asked, newest: &PoseRequest, version: LookVersion) -> bool {
+        asked.header.look != version && is_much_larger(asked, newest)
+    }
+
+    fn is_long(&self, now_micros: u64, asked: &Asked) -> bool {
+        now_micros >= asked.at_micros + LONG_REST_MICROS
     }
 
     /// Notes the time to generate a frame, µs.
     pub fn handle_generated(&mut self, micros: u64) {
-        (self.has_given_up, self.has_failed) = (false, false);
+        (self.num_given_up, self.has_failed) = (0, false);
         self.coding.handle_generated(micros);
     }
 
     /// A frame was given up during generation. The newest pose still needs an answer.
     pub fn handle_given_up(&mut self) {
-        (self.has_given_up, self.answered) = (true, None);
+        self.num_given_up = self.num_given_up.saturating_add(1);
+        self.answered = None;
     }
 
     /// A frame could not be generated; `is_lost` if another renderer replaces a lost one. Then the pose is tried once
@@ -276,6 +294,14 @@ fn is_same_picture(a: &Intrinsics, b: &Intrinsics) -> bool {
     a.margin_around(b).is_some() || b.margin_around(a).is_some()
 }
 
+/// Whether a frame has so many more lists than the newest request that it should not keep it waiting.
+fn is_much_larger(asked: &Asked, newest: &PoseRequest) -> bool {
+    newest.intrinsics.num_pixels() * 5 <= asked.request.intrinsics.num_pixels() * 2
+}
+
+/// Most frames given up in a row: a second one only for a much smaller request, and the next is generated. Otherwise a
+/// viewer with a low refresh rate would get none.
+const MOST_GIVEN_UP: u8 = 2;
 /// The camera rests when no newer pose arrives for this time: three refreshes at 30 Hz.
 const REST_MICROS: u64 = 100_000;
 /// After this time a camera rests even at four refreshes a second. Its frame is given up when it moves.
@@ -361,6 +387,37 @@ mod tests {
         frames.handle_generated(1000);
         let asked = frames.begin(2_000_000, &request(5, 0.3), &looks, &BOUNDS);
         assert!(frames.handle_pose(2_250_000, &request(6, 0.4), Some(&asked)));
+    }
+
+    #[test]
+    fn an_edit_ends_the_frame_in_work_and_its_smaller_frame_is_made() {
+        let of_size = |id: u32, side: u32| PoseRequest {
+            intrinsics: Intrinsics::perspective(side, side, 0.5),
+            ..request(id, 0.0)
+        };
+        let (mut frames, mut looks) = of_server();
+        // The look comes before the smaller request: the whole frame of the new look ends at once.
+        let asked = frames.begin(0, &of_size(1, 64), &looks, &BOUNDS);
+        assert!(!frames.handle_look(249_999, Some(&asked)), "it is about to be there");
+        assert!(frames.handle_look(250_000, Some(&asked)));
+        frames.handle_given_up();
+        looks.begin(250_000, look("second"), true);
+        let asked = frames.begin(250_000, &of_size(1, 64), &looks, &BOUNDS);
+        assert!(!frames.handle_pose(251_000, &of_size(2, 63), Some(&asked)), "hardly smaller");
+        assert!(frames.handle_pose(252_000, &of_size(3, 32), Some(&asked)));
+        frames.handle_given_up();
+        // Whatever comes now, the smaller one is made.
+        let asked = frames.begin(253_000, &of_size(3, 32), &looks, &BOUNDS);
+        assert!(!frames.handle_look(900_000, Some(&asked)));
+        for side in [64, 32, 16, 1] {
+            assert!(!frames.handle_pose(900_000, &of_size(4, side), Some(&asked)), "{side}");
+        }
+        frames.handle_generated(1000);
+        // A frame at the coder gives way to a much smaller one of another look, and to no other.
+        let (old, new) = (looks.version(), LookVersion(looks.version().0 + 1));
+        assert!(FramesServer::is_overtaken(&asked, &of_size(5, 16), new));
+        assert!(!FramesServer::is_overtaken(&asked, &of_size(5, 16), old));
+        assert!(!FramesServer::is_overtaken(&asked, &of_size(5, 32), new));
     }
 
     #[test]

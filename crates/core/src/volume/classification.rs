@@ -1,7 +1,7 @@
 //! Prepares transfer functions for one volume, which gives their domain and unit length a meaning.
 
 use super::{Histogram, Volume};
-use crate::transfer::{Domain, TransferFunction, TransferTable, UnitLength, integrated};
+use crate::transfer::{Domain, TABLE_BINS, TransferFunction, TransferTable, UnitLength, integrated};
 
 impl TransferFunction {
     /// The table for one volume. `histogram` must be the volume's own.
@@ -21,6 +21,33 @@ impl TransferFunction {
             [c[0], c[1], c[2], c[0].max(c[1]).max(c[2])].map(f64::from)
         };
         integrated(shown, self.x_map(volume, histogram))
+    }
+
+    /// The brightness of averages: a factor on [`Self::shown_table`] with which the brightest averages along the
+    /// volume's axes fill the range. Most of a ray's way is empty, so the plain mean of a scan is nearly black. The
+    /// factor is at least 1, and rests on a sample of the voxels.
+    pub fn exposure(&self, volume: &Volume, table: &TransferTable) -> f32 {
+        let dims = volume.dims();
+        // Voxels in the middle of equal parts of each axis.
+        let num = dims.map(|n| n.min(MOST_SAMPLES));
+        let place = |i: u32, axis: usize| ((2 * i + 1) * dims[axis] / (2 * num[axis])) as i32;
+        let [nx, ny, nz] = num.map(|n| n as usize);
+        let mut sums = [vec![0f32; ny * nz], vec![0f32; nx * nz], vec![0f32; nx * ny]];
+        for (z, y, x) in (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| (z, y, x)))) {
+            let [i, j, k] = [(x, 0), (y, 1), (z, 2)].map(|(i, axis)| place(i as u32, axis));
+            let at = volume.stored_at(i, j, k) * table.x_scale + table.x_offset;
+            let node = (at.clamp(0.0, 1.0) * TABLE_BINS as f32) as usize;
+            let shown = table.density.get(node).map_or(0.0, |node| node[3]);
+            for (sum, at) in sums.iter_mut().zip([z * ny + y, z * nx + x, y * nx + x]) {
+                sum[at] += shown;
+            }
+        }
+        let lengths = [nx, ny, nz];
+        let means = sums.iter().zip(lengths).flat_map(|(sums, n)| sums.iter().map(move |sum| sum / n as f32));
+        let mut means: Vec<f32> = means.filter(|mean| *mean > 0.0).collect();
+        means.sort_by(f32::total_cmp);
+        let bright = means.get(means.len() * 99 / 100).copied().unwrap_or(1.0);
+        (1.0 / bright).clamp(1.0, MOST_EXPOSURE)
     }
 
     /// The same function over this volume's values, so that other volumes look alike.
@@ -52,5 +79,46 @@ impl TransferFunction {
         let (lo, span) = (f64::from(lo), if hi > lo { f64::from(hi) - f64::from(lo) } else { 1.0 });
         let finite = |x: f64| (x as f32).clamp(f32::MIN, f32::MAX);
         (finite(f64::from(scale) / span), finite((f64::from(offset) - lo) / span))
+    }
+}
+
+/// Samples of a volume along an axis for [`TransferFunction::exposure`].
+const MOST_SAMPLES: u32 = 64;
+/// Greatest exposure: a few voxels in an empty volume stay dim.
+const MOST_EXPOSURE: f32 = 64.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transfer::ControlPoint;
+    use crate::volume::{VolumeInfo, Voxels};
+    use glam::Vec3;
+
+    #[test]
+    fn averages_of_sparse_matter_fill_the_range() {
+        let p = |x, opacity| ControlPoint { x, color: [1.0; 3], opacity };
+        let transfer = TransferFunction {
+            name: "ramp".into(),
+            domain: Domain::Values(0.0, 200.0),
+            unit_length: UnitLength::Voxel,
+            points: vec![p(0.0, 0.0), p(1.0, 0.5)],
+        };
+        // A box of full brightness that takes a quarter of the way along each axis, in a volume of any size.
+        for side in [8u32, 100, 160] {
+            let is_inside = |i: u32| (side / 2..side / 2 + side / 4).contains(&i);
+            let voxels = (0..side * side * side).map(|i| {
+                let all = [i % side, i / side % side, i / side / side].into_iter().all(is_inside);
+                if all { 200u8 } else { 0 }
+            });
+            let voxels = Voxels::U8(voxels.collect());
+            let volume =
+                Volume::new([side; 3], Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
+            let histogram = Histogram::of(&volume);
+            let exposure = transfer.exposure(&volume, &transfer.shown_table(&volume, &histogram));
+            assert!((exposure - 4.0).abs() < 0.3, "{side}: {exposure}");
+            // Negative control: nothing is seen at all, and nothing is multiplied.
+            let clear = TransferFunction { points: vec![p(0.0, 0.0)], ..transfer.clone() };
+            assert_eq!(clear.exposure(&volume, &clear.shown_table(&volume, &histogram)), 1.0);
+        }
     }
 }

@@ -33,6 +33,8 @@ pub struct Illumination {
     gradients: Option<Arc<Lit>>,
     occlusion: Option<GradedShade>,
     shadow: Option<GradedShade>,
+    /// Whether the occlusion is that of another look, or missing, until the final one is there.
+    lacks_occlusion: bool,
     lit: Option<Arc<Lit>>,
 }
 
@@ -91,25 +93,28 @@ impl Illumination {
             extinction: None,
             occlusion: None,
             shadow: None,
+            lacks_occlusion: false,
             lit: gradients.clone(),
             gradients,
         };
         if lighting.is_on() {
-            let before = before.filter(|b| b.classes.shades_like(&found.classes));
-            found.shade(volume, matter, region, detail, before);
+            let alike = before.filter(|b| b.classes.shades_like(&found.classes));
+            // Occlusion takes long, and that of the look before is near. So an edit does not wait for it.
+            let of_other = before.filter(|_| detail == Detail::Draft && alike.is_none());
+            found.shade(volume, matter, region, detail, (alike, of_other));
             found.lit = Some(Arc::new(found.combined(volume)));
         }
         found
     }
 
-    /// `before` has the same extinctions.
+    /// `before` has the same extinctions. A draft takes its occlusion from `of_other`, if that is given.
     fn shade(
         &mut self,
         volume: &Volume,
         matter: Matter<'_>,
         region: &Region,
         detail: Detail,
-        before: Option<&Self>,
+        (before, of_other): (Option<&Self>, Option<&Self>),
     ) {
         let lighting = self.lighting;
         let mut extinction = before.and_then(|b| b.extinction.clone()).filter(|e| e.0 == detail);
@@ -123,7 +128,11 @@ impl Illumination {
             let kept = before.filter(|b| b.lighting.occlusion_radius == lighting.occlusion_radius);
             let kept = kept.and_then(|b| b.occlusion.clone()).filter(is_fine);
             let radius = lighting.occlusion_radius * volume.bounds().radius();
-            self.occlusion = kept.or_else(|| Some(shaded_by(&|e| Shade::occlusion(e, radius, detail))));
+            self.lacks_occlusion = kept.is_none() && of_other.is_some();
+            self.occlusion = kept.or_else(|| match of_other {
+                Some(other) => other.occlusion.clone().map(|part| (Detail::Draft, part.1)),
+                None => Some(shaded_by(&|e| Shade::occlusion(e, radius, detail))),
+            });
         }
         if lighting.shadows > 0.0 {
             let source = |l: &Lighting| (l.azimuth_degrees, l.elevation_degrees, l.softness_degrees);
@@ -139,9 +148,15 @@ impl Illumination {
         self.lit.as_ref()
     }
 
+    /// Whether there is any occlusion, of this look or of another.
+    pub fn has_occlusion(&self) -> bool {
+        self.occlusion.is_some()
+    }
+
     /// Whether the shade has its final detail, or there is none.
     pub fn is_final(&self) -> bool {
-        [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
+        !self.lacks_occlusion
+            && [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
     }
 
     /// The brightness of every voxel, as one number.
@@ -368,6 +383,25 @@ mod tests {
         let none = scene_of(&volume, MarchSettings::of(true, OFF));
         let plain = none.illumination.gradients.as_ref().unwrap();
         assert!(mean(a, b) < 0.25 * mean(a, plain), "{} of {}", mean(a, b), mean(a, plain));
+    }
+
+    #[test]
+    fn a_draft_of_another_look_takes_the_occlusion_that_is_there() {
+        let lighting = Lighting { ambient_occlusion: 1.0, ..OFF };
+        let settings = MarchSettings::of(true, lighting);
+        let in_draft = MarchSettings { detail: Detail::Draft, ..settings };
+        let (bare, lit) = (scene(true, OFF), scene(true, lighting));
+        // None yet: the draft is as bright as without, and no final.
+        let first = bare.with_look(&transfer(0.2), in_draft).illumination;
+        assert!(!first.has_occlusion() && !first.is_final());
+        let draft = lit.with_look(&transfer(0.2), in_draft);
+        let shared = |l: &Illumination| Arc::as_ptr(&l.occlusion.as_ref().unwrap().1);
+        assert_eq!(shared(&draft.illumination), shared(&lit.illumination));
+        assert!(!draft.illumination.is_final());
+        // In the end, each has its own.
+        let own = draft.with_look(&transfer(0.2), settings).illumination;
+        assert!(own.is_final() && shared(&own) != shared(&lit.illumination));
+        assert_eq!(own.lit(), Scene::new(lit.volume.clone(), &transfer(0.2), settings).illumination.lit());
     }
 
     fn scene_of(volume: &Arc<Volume>, settings: MarchSettings) -> Scene {

@@ -309,7 +309,7 @@ pub struct SavedView {
 }
 
 impl SavedView {
-    fn problem(&self) -> Option<String> {
+    pub(crate) fn problem(&self) -> Option<String> {
         let in_range = |what, value: Option<f32>, least: f32, most: f32| {
             let value = value.filter(|v| !(least..=most).contains(v))?;
             Some(format!("{what} is {value}, expected {least} to {most}"))

@@ -9,7 +9,7 @@ use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions, run_headless};
 use isinglass_bench::progress::note;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::SavedState;
+use isinglass_formats::{Remembered, SavedState};
 use isinglass_net::LinkModel;
 use isinglass_server::{ServeOptions, Timing};
 
@@ -165,7 +165,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let (opened, look) =
         seen.open_to_serve(&volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     let size = args.size.unwrap_or(args.window_size);
-    let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window);
+    let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window, &Remembered::default());
     // The server already has the look with its flags.
     let state = Some(SavedState { look: None, ..state });
     let options = ServeOptions {

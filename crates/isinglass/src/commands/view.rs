@@ -10,7 +10,9 @@ use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::{LoadRequest, SavedState, Selection, load_transfer, state_from_link, write_whole};
+use isinglass_formats::{
+    LoadRequest, Remembered, SavedState, Selection, load_transfer, state_from_link, write_whole,
+};
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, state_of_link};
 
 use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
@@ -113,7 +115,11 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     }
     args.look.mode()?;
     args.look.tf.as_deref().map(load_transfer).transpose()?;
-    let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window);
+    let choices_file = local::choices_file();
+    // A file that cannot be read is replaced by the next choice.
+    let read = |file: &PathBuf| Remembered::read(file).map_err(|e| note(&format!("no choices: {e}"))).ok();
+    let choices = choices_file.as_ref().and_then(read).unwrap_or_default();
+    let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window, &choices);
     // This comes first, because a link admits one viewer and must not be used up without a display.
     if !display_available() {
         bail!("no display answers, expected one to open a window on; see `isinglass doctor`");
@@ -130,7 +136,10 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         foresight: args.foresight.foresight(),
         refresh_hz: args.window.refresh,
         shows_bars: args.window.shows_bars(),
-        shows_panel: size[0] >= WIDTH_WITH_PANEL,
+        shows_panel: choices.panel.unwrap_or(size[0] >= WIDTH_WITH_PANEL),
+        choices,
+        choices_file,
+        has_light: seen.has_flags_of_light(),
         recorder: recorder.clone(),
         ..WindowOptions::default()
     };

@@ -42,16 +42,32 @@ impl Viewer {
 
     /// A newer pose has come: what is only for the one before is given up.
     pub(super) fn note_pose(&mut self, newest: &PoseRequest) {
-        let version = self.session.talk().look.version();
         self.pipeline.handle_decoding(newest.decode_nanos_per_list);
-        self.pipeline.give_up(|sending| FramesServer::is_outdated(sending, newest, version));
+        self.give_up_outdated(newest);
         let now = self.now_micros();
         let generating = self.pipeline.generating();
-        if self.frames.handle_pose(now, newest, generating.map(|(asked, _)| asked))
-            && let Some((_, wish)) = generating
-        {
-            wish.give_up();
+        if self.frames.handle_pose(now, newest, generating.map(|(asked, _)| asked)) {
+            self.pipeline.give_up_generating();
         }
+    }
+
+    /// Another look has come: what is only for the one before is given up.
+    pub(super) fn note_look(&mut self) {
+        let newest = self.session.talk().pose.newest();
+        if let Some(newest) = newest {
+            self.give_up_outdated(&newest);
+        }
+        let now = self.now_micros();
+        let generating = self.pipeline.generating();
+        if self.frames.handle_look(now, generating.map(|(asked, _)| asked)) {
+            self.pipeline.give_up_generating();
+        }
+    }
+
+    fn give_up_outdated(&mut self, newest: &PoseRequest) {
+        let version = self.session.talk().look.version();
+        self.pipeline.give_up(|sending| FramesServer::is_outdated(sending, newest, version));
+        self.pipeline.give_up_coding(|asked| FramesServer::is_overtaken(asked, newest, version));
     }
 
     /// Takes what a station has done; false when the viewer has left.
@@ -84,7 +100,7 @@ impl Viewer {
                 }
             }
             Err(GenerateError::GivenUp) => {
-                tracing::trace!("frame {frame} given up: the camera moves on");
+                tracing::trace!("frame {frame} given up: the camera or the look moves on");
                 self.frames.handle_given_up();
             }
             // The change is about to be told, and the pose answered with it.

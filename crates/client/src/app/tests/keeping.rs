@@ -3,6 +3,7 @@
 use isinglass_core::volume::Lighting;
 
 use super::*;
+use crate::panels::light::usual_lighting;
 
 /// Runs until what is being made is on the disk: files are written on a thread.
 fn finish(w: &mut Harness<'_, ViewerApp<HereSource>>) {
@@ -199,12 +200,12 @@ fn the_light_can_be_moved_in_the_picture_and_shade_changes_it() {
     rest(&mut w);
     w.get_by_label("reset the light").click();
     rest(&mut w);
-    assert_eq!(w.state().viewing.source().here().look.1.lighting, Lighting::default());
-    assert_eq!(picture(&w), before);
+    assert_eq!(w.state().viewing.source().here().look.1.lighting, usual_lighting());
+    let before = picture(&w);
     // The ball, and the slider of the shadows.
     let ball = w.get_by_label("light direction").rect().center();
     drag(&mut w, ball, vec2(20.0, 0.0), Modifiers::NONE);
-    assert_ne!(w.state().viewing.source().here().look.1.lighting, Lighting::default());
+    assert_ne!(w.state().viewing.source().here().look.1.lighting, usual_lighting());
     let slider = w.get_by_role_and_label(egui::Role::Slider, "shadows").rect();
     drag(&mut w, slider.left_center() + vec2(4.0, 0.0), vec2(60.0, 0.0), Modifiers::NONE);
     assert!(w.state().viewing.source().here().look.1.lighting.shadows > 0.3);

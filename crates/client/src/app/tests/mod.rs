@@ -231,15 +231,22 @@ fn window_on(
     size: [f32; 2],
     pixels_per_point: f32,
 ) -> Harness<'static, ViewerApp<HereSource>> {
+    let options = WindowOptions { frame_size: SMALL, initial_orbit, ..WindowOptions::default() };
+    window_with(options, source, size, pixels_per_point)
+}
+
+const SMALL: FrameSize = FrameSize { max_width: 48, max_height: 48, scale: 1.0, moving_budget: None };
+
+fn window_with(
+    options: WindowOptions,
+    source: HereSource,
+    size: [f32; 2],
+    pixels_per_point: f32,
+) -> Harness<'static, ViewerApp<HereSource>> {
     let micros = source.micros.clone();
     let clock = {
         let micros = micros.clone();
         Clock::new(move || micros.load(Ordering::Relaxed))
-    };
-    let options = WindowOptions {
-        frame_size: FrameSize { max_width: 48, max_height: 48, ..FrameSize::default() },
-        initial_orbit,
-        ..WindowOptions::default()
     };
     let views = NovelViews::new(Vec::new(), LAYERS, Arc::new(|| {}));
     let app = ViewerApp::new(options, views, source, clock, Arc::default());
@@ -424,6 +431,7 @@ fn keys_switch_what_they_say() {
     for (key, of) in [
         (Key::B, (|aids: &ViewAids| aids.shows_box) as fn(&ViewAids) -> bool),
         (Key::A, |aids: &ViewAids| aids.shows_axes),
+        (Key::K, |aids: &ViewAids| aids.shows_legend),
     ] {
         let before = of(&w.state().aids);
         press(&mut w, Modifiers::NONE, key);
@@ -528,6 +536,7 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
 }
 
 mod access;
+mod choices;
 mod clip;
 mod measures;
 mod narrow;

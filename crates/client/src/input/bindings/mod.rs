@@ -44,6 +44,8 @@ pub enum Action {
     Projection,
     /// Switch axes and scale bar on or off.
     Axes,
+    /// Switch the legend of the colours on or off.
+    Legend,
     /// Choose the next kind of stereo.
     Stereo,
     /// Switch the probe on or off.
@@ -468,6 +470,7 @@ const TABLE: &[Line] = &[
     fixed("in the curve: Shift+left, Shift+right", "move a point along the values"),
     fixed("in the curve: right or ctrl+left drag", "level and window"),
     fixed("in the strip: arrows", "level; window"),
+    fixed("in the stops: as in the curve", "choose, move, add and remove colours"),
     task("Measure, cut, watch"),
     keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
     keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
@@ -478,6 +481,7 @@ const TABLE: &[Line] = &[
     fixed("on a slice: double click", "larger, and back"),
     keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
     keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
+    keys("legend of the colours on or off", &[("legend", Deed::Act(Action::Legend), &["k"])]),
     keys(
         "the time before, the next time",
         &[

@@ -121,6 +121,12 @@ pub(crate) fn problem(ui: &mut Ui, text: &str) {
     ui.add(egui::Label::new(text).wrap());
 }
 
+/// Names something painted for screen readers.
+pub(crate) fn image(ui: &Ui, rect: Rect, id: &str, name: &str) {
+    let response = ui.interact(rect, egui::Id::unique(id), egui::Sense::hover());
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
+}
+
 /// Draws the emblem: sheets of mica, one behind the other.
 pub(crate) fn emblem(painter: &egui::Painter, center: egui::Pos2, scale: f32, is_dark: bool) {
     let (fill, line) = match is_dark {
@@ -144,3 +150,24 @@ pub(crate) fn emblem(painter: &egui::Painter, center: egui::Pos2, scale: f32, is
 
 /// Size of icons, points.
 pub(crate) const ICON_SIZE: f32 = 16.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_signs_of_controls_have_glyphs() {
+        let mut h = egui_kittest::Harness::new_ui_state(
+            |ui, missing: &mut String| {
+                install(ui.ctx());
+                let font = egui::FontId::proportional(13.0);
+                let has = |c: char| ui.ctx().fonts_mut(|fonts| fonts.has_glyph(&font, c));
+                // Signs of rows and values.
+                *missing = "−×°–…·\u{10fffd}".chars().filter(|c| !has(*c)).collect();
+            },
+            String::new(),
+        );
+        h.run();
+        assert_eq!(h.state(), "\u{10fffd}", "the control has none");
+    }
+}

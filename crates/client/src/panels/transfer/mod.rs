@@ -3,18 +3,21 @@
 mod curve;
 mod history;
 mod plot;
+mod stops;
 #[cfg(test)]
 mod tests;
 
 use std::path::PathBuf;
 
 use egui::{RichText, Ui, vec2};
-use isinglass_core::transfer::{Domain, TransferFunction};
+use isinglass_core::mode::Iso;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction};
 use isinglass_formats::{ColorMap, ImportedTransfer, import_transfers, transfer_to_toml};
 
-use self::curve::Curve;
+use self::curve::{Curve, Marks, Tone};
 use self::history::History;
 use self::plot::{Grip, LEAST_WINDOW};
+use super::color_well;
 use super::controls::{self, named_number};
 use super::file_field::{FileField, FileOutcome};
 use super::style::named;
@@ -34,9 +37,11 @@ pub(crate) struct TransferEditor {
     history: History<Snapshot>,
     /// The state before a movement that is in progress.
     before: Option<Snapshot>,
-    selected: Option<usize>,
+    selected: Option<Selected>,
     grip: Option<Grip>,
     view: Option<(f32, f32)>,
+    /// Values of surfaces, each a line in the histogram.
+    surfaces: Vec<f32>,
     is_log: bool,
     files: FileField<Vec<ImportedTransfer>>,
     found: Vec<ImportedTransfer>,
@@ -47,8 +52,17 @@ pub(crate) struct TransferEditor {
 #[derive(Clone, Debug, PartialEq)]
 struct Snapshot {
     transfer: TransferFunction,
+    marks: Marks,
+    tone: Tone,
     /// The function that reset returned to then.
     preset: TransferFunction,
+}
+
+/// The selected opacity point or colour stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Selected {
+    Point(usize),
+    Stop(usize),
 }
 
 #[derive(Debug, Default, PartialEq)]
@@ -66,7 +80,7 @@ impl Default for TransferEditor {
             points: Vec::new(),
         };
         Self {
-            curve: Curve { transfer: nothing.clone(), domain: (0.0, 1.0) },
+            curve: Curve::new(nothing.clone(), (0.0, 1.0)),
             known: None,
             scale: None,
             preset: nothing,
@@ -75,6 +89,7 @@ impl Default for TransferEditor {
             selected: None,
             grip: None,
             view: None,
+            surfaces: Vec::new(),
             is_log: true,
             files: FileField::default(),
             found: Vec::new(),
@@ -153,13 +168,16 @@ impl TransferEditor {
         self.files.read(wake, move || import_transfers(&path).map_err(|e| e.to_string()));
     }
 
-    pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale) {
+    /// Shows the editor. Each value of `surfaces` is a line in the histogram.
+    pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale, surfaces: &[Iso]) {
+        self.surfaces = surfaces.iter().map(|iso| iso.value).collect();
         ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
         self.presets_row(ui, scale);
         self.plot(ui, scale);
         self.point_row(ui);
         self.window_row(ui, scale);
         self.shift_row(ui, scale);
+        self.tone_rows(ui);
         self.range_row(ui, scale);
         self.history_row(ui, scale);
         self.file_rows(ui, scale);
@@ -175,8 +193,21 @@ impl TransferEditor {
 
     fn set(&mut self, transfer: TransferFunction, scale: &ValueScale) {
         let domain = scale.domain(&transfer.domain);
-        self.selected = self.selected.filter(|s| *s < transfer.points.len());
-        self.curve = Curve { transfer, domain };
+        self.curve = Curve::new(transfer, domain);
+        self.drop_selection();
+    }
+
+    /// Ends a selection of what is no longer there.
+    fn drop_selection(&mut self) {
+        let Marks { points, stops } = &self.curve.marks;
+        self.selected = self.selected.filter(|selected| match *selected {
+            Selected::Point(i) => i < points.len(),
+            Selected::Stop(i) => i < stops.len(),
+        });
+    }
+
+    fn selected_point(&self) -> Option<usize> {
+        if let Some(Selected::Point(i)) = self.selected { Some(i) } else { None }
     }
 
     /// Continues a movement, or makes a step of its own.
@@ -192,7 +223,8 @@ impl TransferEditor {
     }
 
     fn present(&self) -> Snapshot {
-        Snapshot { transfer: self.curve.transfer.clone(), preset: self.preset.clone() }
+        let Curve { transfer, marks, tone, .. } = self.curve.clone();
+        Snapshot { transfer, marks, tone, preset: self.preset.clone() }
     }
 
     /// Makes a change from elsewhere, such as a saved state, undoable.
@@ -209,7 +241,9 @@ impl TransferEditor {
             self.preset = step.preset;
             self.fit();
         }
-        self.set(step.transfer, scale);
+        let domain = scale.domain(&step.transfer.domain);
+        self.curve = Curve { transfer: step.transfer, domain, marks: step.marks, tone: step.tone };
+        self.drop_selection();
     }
 
     /// The values across the plot: at first the part of the function inside the volume's range.
@@ -265,47 +299,66 @@ impl TransferEditor {
             self.take(transfer, scale);
         }
         if let Some(map) = colored {
-            self.begin();
-            self.set(map.onto(&self.curve.transfer), scale);
+            self.paint(&map);
         }
     }
 
-    fn point_row(&mut self, ui: &mut Ui) {
-        let Some(index) = self.selected else {
-            // The same height, so that the rows below stay.
-            ui.horizontal(|ui| ui.label(RichText::new("no point selected").weak()));
-            return;
-        };
-        let point = self.curve.transfer.points[index];
-        let (mut value, mut opacity, mut color) = (self.curve.value(index), point.opacity, point.color);
-        let before = (value, opacity, color);
-        let speed = f64::from(self.curve.domain.1 - self.curve.domain.0) * 0.002;
-        let mut is_removed = false;
-        ui.horizontal(|ui| {
-            let span = self.curve.domain.1 - self.curve.domain.0;
-            let value = number(ui, "value", &mut value, speed, f32::MIN..=f32::MAX, span);
-            value.on_hover_text("value of the selected point");
-            let opacity = number(ui, "opacity", &mut opacity, 0.002, 0.0..=1.0, 1.0);
-            opacity.on_hover_text("opacity of matter one unit thick");
-            let mut bytes = plot::color32(color).to_array();
-            let button = ui.color_edit_button_srgba_unmultiplied(&mut bytes);
-            named(&button, egui::Role::ColorWell, "colour of the point");
-            if button.changed() {
-                color = [bytes[0], bytes[1], bytes[2]].map(|c| f32::from(c) / 255.0);
-            }
-            is_removed = ui.button("remove").clicked();
-        });
-        if is_removed {
-            if let Some(curve) = self.curve.without_point(index) {
-                self.selected = None;
+    /// Replaces the colour stops by those of a map over the domain. No opacity changes.
+    fn paint(&mut self, map: &ColorMap) {
+        let end = |x| ControlPoint { x, color: [0.0; 3], opacity: 1.0 };
+        let flat = TransferFunction { points: vec![end(0.0), end(1.0)], ..self.curve.transfer.clone() };
+        match self.curve.with_colors_of(&map.onto(&flat).points) {
+            Some(curve) => {
                 self.change(curve);
+                self.drop_selection();
             }
-        } else if (value, opacity, color) != before {
-            let mut curve = self.curve.with_color(index, color);
-            if (value, opacity) != (before.0, before.1) {
-                curve = curve.with_point_at(index, value, opacity);
+            None => self.tell_full(),
+        }
+    }
+
+    /// The selected point or stop. The row has the same height without any, so that the rows below stay.
+    fn point_row(&mut self, ui: &mut Ui) {
+        let height = ui.spacing().interact_size.y;
+        ui.horizontal(|ui| {
+            ui.set_min_height(height);
+            match self.selected {
+                None => _ = ui.label(RichText::new("no point or stop selected").weak()),
+                Some(Selected::Point(index)) => self.selected_point_row(ui, index),
+                Some(Selected::Stop(index)) => self.selected_stop_row(ui, index),
             }
-            self.change(curve);
+        });
+    }
+
+    fn selected_point_row(&mut self, ui: &mut Ui, index: usize) {
+        let (mut value, mut opacity) = (self.curve.value(index), self.curve.opacity(index));
+        let before = (value, opacity);
+        let span = self.curve.domain.1 - self.curve.domain.0;
+        let of_value = number(ui, "value", &mut value, f64::from(span) * 0.002, f32::MIN..=f32::MAX, span);
+        of_value.on_hover_text("value of the selected point");
+        let of_opacity = number(ui, "opacity", &mut opacity, 0.002, 0.0..=1.0, 1.0);
+        of_opacity.on_hover_text("opacity of matter one unit thick");
+        if ui.button("remove").clicked() {
+            self.remove_point(index);
+        } else if (value, opacity) != before {
+            self.change(self.curve.with_point_at(index, value, opacity));
+        }
+    }
+
+    fn selected_stop_row(&mut self, ui: &mut Ui, index: usize) {
+        let mut value = self.curve.stop_value(index);
+        let before = value;
+        let span = self.curve.domain.1 - self.curve.domain.0;
+        let of_value = number(ui, "value", &mut value, f64::from(span) * 0.002, f32::MIN..=f32::MAX, span);
+        of_value.on_hover_text("value of the selected colour stop");
+        let shown = self.curve.tone.of_color(self.curve.marks.stops[index].is);
+        let mut rgb = plot::color32(shown).to_array()[..3].try_into().unwrap_or([0; 3]);
+        let is_recolored = color_well::show(ui, &mut rgb, "colour of the stop");
+        if ui.button("remove").clicked() {
+            self.remove_stop(index);
+        } else if is_recolored {
+            self.change(self.curve.with_color(index, rgb.map(|c| f32::from(c) / 255.0)));
+        } else if value != before {
+            self.change(self.curve.with_stop_at(index, value));
         }
     }
 
@@ -331,14 +384,35 @@ impl TransferEditor {
         let reach = scale.span() * 0.5;
         let mut shift = level - start;
         ui.horizontal(|ui| {
-            ui.label("position");
-            ui.spacing_mut().slider_width = (ui.available_width() - 66.0).max(60.0);
+            controls::name_cell(ui, "position");
+            controls::fill_row(ui);
             let slider = ui.add(controls::slider(ui, &mut shift, -reach..=reach, |v| format_in(v, window)));
             named_number(&slider, egui::Role::Slider, "shift of the whole curve", shift);
             slider.on_hover_text("moves the whole curve along the values");
         });
         if shift != level - start {
             self.change(self.curve.with_level_and_window(start + shift, window, 0.0));
+        }
+    }
+
+    fn tone_rows(&mut self, ui: &mut Ui) {
+        let before = self.curve.tone;
+        let mut tone = before;
+        for (name, factor, hint) in [
+            ("opacity", &mut tone.opacity, "of all matter: how thick it seems, relative to the curve"),
+            ("brightness", &mut tone.brightness, "of all colours"),
+        ] {
+            ui.horizontal(|ui| {
+                controls::name_cell(ui, name);
+                controls::fill_row(ui);
+                let slider = controls::slider(ui, factor, FACTORS, |v| format!("{v:.2}"));
+                let slider = ui.add(slider.logarithmic(true).suffix(" ×"));
+                named_number(&slider, egui::Role::Slider, &format!("{name} of the whole curve"), *factor);
+                slider.on_hover_text(hint);
+            });
+        }
+        if tone != before {
+            self.change(self.curve.with_tone(tone));
         }
     }
 
@@ -481,6 +555,8 @@ fn number(
     response
 }
 
+/// Factors of opacity and brightness.
+const FACTORS: std::ops::RangeInclusive<f32> = 0.1..=10.0;
 /// Lists of presets and colour maps need no scrolling, points.
 const LIST_HEIGHT: f32 = 460.0;
 

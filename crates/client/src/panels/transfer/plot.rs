@@ -1,13 +1,16 @@
 //! The curve over the histogram, and below it the strip of its colours, which sets window and level.
+//! Colour stops lie below the strip, see `stops`.
 
 use egui::{
     Color32, Event, EventFilter, Key, Mesh, Modifiers, PointerButton, Pos2, Rect, Response, Role, Sense,
     Shape, Stroke, StrokeKind, Ui, WidgetInfo, pos2, vec2,
 };
 
-use super::TransferEditor;
 use super::curve::{Curve, height_of, opacity_at};
+use super::stops::STOPS_HEIGHT;
+use super::{Selected, TransferEditor};
 use crate::input::pointer::notches_of;
+use crate::panels::style::accent;
 use crate::panels::text::{format_in, format_value};
 use crate::panels::value_scale::ValueScale;
 
@@ -20,8 +23,9 @@ pub(super) struct Grip {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum GripKind {
+pub(super) enum GripKind {
     Point(usize),
+    Stop(usize),
     Window,
     LowEnd,
     HighEnd,
@@ -29,23 +33,23 @@ enum GripKind {
 
 /// A rectangle with values across and opacities upwards.
 #[derive(Clone, Copy)]
-struct Axes {
-    rect: Rect,
-    view: (f32, f32),
+pub(super) struct Axes {
+    pub(super) rect: Rect,
+    pub(super) view: (f32, f32),
 }
 
 impl Axes {
-    fn x(&self, value: f32) -> f32 {
+    pub(super) fn x(&self, value: f32) -> f32 {
         let t = (value - self.view.0) / (self.view.1 - self.view.0);
         // Values far outside are clamped to keep the numbers small.
         self.rect.left() + self.rect.width() * t.clamp(-10.0, 10.0)
     }
 
-    fn span(&self) -> f32 {
+    pub(super) fn span(&self) -> f32 {
         self.view.1 - self.view.0
     }
 
-    fn value(&self, x: f32) -> f32 {
+    pub(super) fn value(&self, x: f32) -> f32 {
         self.view.0 + (self.view.1 - self.view.0) * ((x - self.rect.left()) / self.rect.width())
     }
 
@@ -58,7 +62,7 @@ impl Axes {
     }
 
     fn point(&self, curve: &Curve, index: usize) -> Pos2 {
-        pos2(self.x(curve.value(index)), self.y(curve.transfer.points[index].opacity))
+        pos2(self.x(curve.value(index)), self.y(curve.opacity(index)))
     }
 }
 
@@ -72,12 +76,17 @@ impl TransferEditor {
         let plot = Axes { rect: outer.shrink2(vec2(POINT_RADIUS + 1.0, POINT_RADIUS)), view };
         let (bar, bar_response) = ui.allocate_exact_size(vec2(width, STRIP_HEIGHT), Sense::click_and_drag());
         let strip = Axes { rect: bar.shrink2(vec2(POINT_RADIUS + 1.0, 0.0)), view };
-        self.pointer(ui, scale, plot, &response, strip, &bar_response);
+        let (below, stops_response) =
+            ui.allocate_exact_size(vec2(width, STOPS_HEIGHT), Sense::click_and_drag());
+        let stops = Axes { rect: below.shrink2(vec2(POINT_RADIUS + 1.0, 0.0)), view };
+        self.pointer(ui, scale, plot, [&response, &bar_response, &stops_response], strip);
         self.wheel(ui, scale, plot, outer.union(bar));
         self.keyboard(ui, plot, &response);
+        self.stops_keyboard(ui, stops, &stops_response);
         self.strip_keyboard(ui, scale, plot, &bar_response);
         self.draw_plot(ui, scale, plot, outer, response.has_focus());
         self.draw_strip(ui, strip, bar, bar_response.has_focus());
+        self.draw_stops(ui, stops, &stops_response);
         self.draw_axis(ui, plot);
         self.describe(ui, plot, &response, &bar_response);
         self.hover_text(ui, scale, plot, outer);
@@ -88,9 +97,8 @@ impl TransferEditor {
         ui: &Ui,
         scale: &ValueScale,
         plot: Axes,
-        response: &Response,
+        [response, strip_response, stops_response]: [&Response; 3],
         strip: Axes,
-        strip_response: &Response,
     ) {
         let is_ours =
             |at: Pos2| ui.ctx().layer_id_at(at) == Some(ui.layer_id()) && ui.clip_rect().contains(at);
@@ -105,6 +113,9 @@ impl TransferEditor {
                         self.press_plot(pos, button, modifiers, plot);
                     } else if strip_response.rect.contains(pos) && button == PointerButton::Primary {
                         self.press_strip(pos, strip);
+                    } else if stops_response.rect.contains(pos) {
+                        stops_response.request_focus();
+                        self.press_stops(pos, button, strip);
                     }
                 }
                 Event::PointerMoved(pos) => self.drag(pos, scale, plot),
@@ -128,17 +139,16 @@ impl TransferEditor {
             (PointerButton::Secondary, _) => self.hold(GripKind::Window, button, pos),
             (PointerButton::Primary, _) if modifiers.command => self.hold(GripKind::Window, button, pos),
             (PointerButton::Primary, Some(index)) => {
-                self.selected = Some(index);
+                self.selected = Some(Selected::Point(index));
                 self.hold(GripKind::Point(index), button, pos);
             }
             (PointerButton::Primary, None) => {
                 let Some((curve, index)) = self.curve.with_point(plot.value(pos.x), plot.opacity(pos.y))
                 else {
-                    self.files.message = Some("no more points: there are 256".into());
-                    return;
+                    return self.tell_full();
                 };
                 self.change(curve);
-                self.selected = Some(index);
+                self.selected = Some(Selected::Point(index));
                 self.hold(GripKind::Point(index), button, pos);
             }
             _ => {}
@@ -156,7 +166,11 @@ impl TransferEditor {
         self.hold(kind, PointerButton::Primary, pos);
     }
 
-    fn hold(&mut self, kind: GripKind, button: PointerButton, from: Pos2) {
+    pub(super) fn tell_full(&mut self) {
+        self.files.message = Some("no more points and stops: there are 256".into());
+    }
+
+    pub(super) fn hold(&mut self, kind: GripKind, button: PointerButton, from: Pos2) {
         self.grip = Some(Grip { kind, button, from, before: self.curve.clone() });
     }
 
@@ -174,12 +188,13 @@ impl TransferEditor {
                 let start = plot.point(before, index);
                 let value = before.value(index) + moved.x * values_per_pixel;
                 // Sideways only: a level part of the curve stays level.
-                let opacity = if moved.y == 0.0 {
-                    before.transfer.points[index].opacity
-                } else {
-                    plot.opacity(start.y + moved.y)
-                };
+                let opacity =
+                    if moved.y == 0.0 { before.opacity(index) } else { plot.opacity(start.y + moved.y) };
                 before.with_point_at(index, value.max(plot.view.0).min(plot.view.1), opacity)
+            }
+            GripKind::Stop(index) => {
+                let value = before.stop_value(index) + moved.x * values_per_pixel;
+                before.with_stop_at(index, value.max(plot.view.0).min(plot.view.1))
             }
             GripKind::Window => {
                 let (level, window) = before.level_and_window();
@@ -229,23 +244,23 @@ impl TransferEditor {
         let filter = EventFilter {
             horizontal_arrows: true,
             vertical_arrows: true,
-            escape: self.selected.is_some(),
+            escape: self.selected_point().is_some(),
             ..Default::default()
         };
         ui.memory_mut(|m| m.set_focus_lock_filter(response.id, filter));
         let pressed = |modifiers, key| ui.input_mut(|i| i.consume_key(modifiers, key));
-        let last = self.curve.transfer.points.len() - 1;
+        let last = self.curve.num_points() - 1;
         let step_in_values = (plot.view.1 - plot.view.0) * KEY_STEP;
         for (key, sign) in [(Key::ArrowLeft, -1.0), (Key::ArrowRight, 1.0)] {
             if pressed(Modifiers::SHIFT, key) {
                 self.nudge(sign * step_in_values, 0.0);
             } else if pressed(Modifiers::NONE, key) {
-                self.selected = Some(match (self.selected, sign > 0.0) {
+                self.selected = Some(Selected::Point(match (self.selected_point(), sign > 0.0) {
                     (None, true) => 0,
                     (None, false) => last,
                     (Some(i), true) => (i + 1).min(last),
                     (Some(i), false) => i.saturating_sub(1),
-                });
+                }));
             }
         }
         for (key, sign) in [(Key::ArrowUp, 1.0), (Key::ArrowDown, -1.0)] {
@@ -254,22 +269,22 @@ impl TransferEditor {
             }
         }
         if (pressed(Modifiers::NONE, Key::Delete) || pressed(Modifiers::NONE, Key::Backspace))
-            && let Some(index) = self.selected
+            && let Some(index) = self.selected_point()
         {
             self.remove_point(index);
         }
         if pressed(Modifiers::NONE, Key::Insert) || pressed(Modifiers::NONE, Key::Enter) {
             self.add_point(plot);
         }
-        if self.selected.is_some() && pressed(Modifiers::NONE, Key::Escape) {
+        if self.selected_point().is_some() && pressed(Modifiers::NONE, Key::Escape) {
             self.selected = None;
         }
     }
 
     /// Adds a point on the curve, half-way between the selected one and the next, or in the middle of the view.
     fn add_point(&mut self, plot: Axes) {
-        let last = self.curve.transfer.points.len() - 1;
-        let value = match self.selected {
+        let last = self.curve.num_points() - 1;
+        let value = match self.selected_point() {
             Some(i) if i < last => 0.5 * (self.curve.value(i) + self.curve.value(i + 1)),
             Some(i) => 0.5 * (self.curve.value(i) + plot.view.1.max(self.curve.value(i))),
             None => 0.5 * (plot.view.0 + plot.view.1),
@@ -277,9 +292,9 @@ impl TransferEditor {
         match self.curve.with_point(value, self.curve.at(value).1) {
             Some((curve, index)) => {
                 self.change(curve);
-                self.selected = Some(index);
+                self.selected = Some(Selected::Point(index));
             }
-            None => self.files.message = Some("no more points: there are 256".into()),
+            None => self.tell_full(),
         }
     }
 
@@ -307,25 +322,29 @@ impl TransferEditor {
     }
 
     fn nudge(&mut self, by_value: f32, by_height: f32) {
-        let Some(index) = self.selected else { return };
-        let opacity = self.curve.transfer.points[index].opacity;
+        let Some(index) = self.selected_point() else { return };
+        let opacity = self.curve.opacity(index);
         let opacity = if by_height == 0.0 { opacity } else { opacity_at(height_of(opacity) + by_height) };
         self.change(self.curve.with_point_at(index, self.curve.value(index) + by_value, opacity));
     }
 
-    fn remove_point(&mut self, index: usize) {
+    pub(super) fn remove_point(&mut self, index: usize) {
         if let Some(curve) = self.curve.without_point(index) {
-            self.selected = self.selected.filter(|s| *s != index).map(|s| if s > index { s - 1 } else { s });
+            self.selected = match self.selected {
+                Some(Selected::Point(s)) if s == index => None,
+                Some(Selected::Point(s)) if s > index => Some(Selected::Point(s - 1)),
+                other => other,
+            };
             self.change(curve);
         }
     }
 
     fn point_near(&self, pos: Pos2, plot: Axes) -> Option<usize> {
         let distance = |i: usize| plot.point(&self.curve, i).distance(pos);
-        let points = 0..self.curve.transfer.points.len();
+        let points = 0..self.curve.num_points();
         // Of two points in one place the selected one, else the last, which is drawn on top.
         let nearest = points.min_by(|&a, &b| {
-            let own = |i| (distance(i), self.selected != Some(i), std::cmp::Reverse(i));
+            let own = |i| (distance(i), self.selected_point() != Some(i), std::cmp::Reverse(i));
             own(a).partial_cmp(&own(b)).unwrap_or(std::cmp::Ordering::Equal)
         })?;
         (distance(nearest) <= GRIP_RADIUS).then_some(nearest)
@@ -365,8 +384,7 @@ impl TransferEditor {
             }
         }
         let mut xs: Vec<f32> = (0..=columns).map(|i| plot.rect.left() + i as f32 * column_width).collect();
-        let points: Vec<Pos2> =
-            (0..self.curve.transfer.points.len()).map(|i| plot.point(&self.curve, i)).collect();
+        let points: Vec<Pos2> = (0..self.curve.num_points()).map(|i| plot.point(&self.curve, i)).collect();
         xs.extend(points.iter().map(|p| p.x).filter(|x| plot.rect.x_range().contains(*x)));
         xs.sort_by(f32::total_cmp);
         let mut fill = Mesh::default();
@@ -388,17 +406,20 @@ impl TransferEditor {
         painter.add(fill);
         painter.add(Shape::line(line, Stroke::new(1.5, ink.curve)));
         for (i, at) in points.iter().enumerate() {
-            let is_selected = self.selected == Some(i);
+            let is_selected = self.selected_point() == Some(i);
             let radius = if is_selected { POINT_RADIUS } else { POINT_RADIUS - 1.5 };
-            painter.circle(
-                *at,
-                radius,
-                color32(self.curve.transfer.points[i].color),
-                Stroke::new(1.5, ink.curve),
-            );
+            // A point has an opacity and no colour of its own.
+            painter.circle(*at, radius, ink.ground, Stroke::new(1.5, ink.curve));
             if is_selected {
                 painter.circle_stroke(*at, radius + 2.0, Stroke::new(1.5, ink.selection));
             }
+        }
+        for (i, value) in self.surfaces.iter().enumerate() {
+            let x = plot.x(*value);
+            painter.vline(x, outer.y_range(), Stroke::new(1.5, ink.selection));
+            let font = egui::FontId::proportional(10.0);
+            let at = pos2(x + 2.0, outer.top() + 1.0);
+            painter.text(at, egui::Align2::LEFT_TOP, format!("{}", i + 1), font, ink.selection);
         }
         let frame = if has_focus { Stroke::new(1.5, ink.selection) } else { Stroke::new(1.0, ink.line) };
         painter.rect_stroke(outer, 3.0, frame, StrokeKind::Inside);
@@ -457,19 +478,26 @@ impl TransferEditor {
             let label = format!("{name} at {}", format_in(end, window));
             handle.widget_info(|| WidgetInfo::labeled(Role::Label, true, &label));
         }
-        let count = self.curve.transfer.points.len();
+        for (i, value) in self.surfaces.iter().enumerate() {
+            let rect =
+                Rect::from_center_size(pos2(plot.x(*value), plot.rect.center().y), vec2(2.0, PLOT_HEIGHT));
+            let line = ui.interact(rect, response.id.with(("surface", i)), Sense::hover());
+            let label = format!("line of surface {} at {}", i + 1, format_in(*value, window));
+            line.widget_info(|| WidgetInfo::labeled(Role::Label, true, &label));
+        }
+        let count = self.curve.num_points();
         for index in 0..count {
             let at = plot.point(&self.curve, index);
             let rect = Rect::from_center_size(at, vec2(2.0, 2.0) * POINT_RADIUS);
             let point = ui.interact(rect, response.id.with(("point", index)), Sense::hover());
-            let (value, opacity) = (self.curve.value(index), self.curve.transfer.points[index].opacity);
+            let (value, opacity) = (self.curve.value(index), self.curve.opacity(index));
             let label = format!(
                 "point {} of {count}: value {}, opacity {}",
                 index + 1,
                 format_in(value, window),
                 format_value(opacity)
             );
-            let is_selected = self.selected == Some(index);
+            let is_selected = self.selected_point() == Some(index);
             point.widget_info(|| WidgetInfo::selected(Role::ListBoxOption, true, is_selected, &label));
         }
     }
@@ -494,18 +522,18 @@ impl TransferEditor {
     }
 }
 
-struct Ink {
+pub(super) struct Ink {
     ground: Color32,
     line: Color32,
     histogram: Color32,
     beyond: Color32,
-    curve: Color32,
+    pub(super) curve: Color32,
     quiet: Color32,
-    selection: Color32,
+    pub(super) selection: Color32,
 }
 
 impl Ink {
-    fn of(ui: &Ui) -> Self {
+    pub(super) fn of(ui: &Ui) -> Self {
         if ui.visuals().dark_mode {
             Self {
                 ground: Color32::from_gray(16),
@@ -514,7 +542,7 @@ impl Ink {
                 beyond: Color32::from_black_alpha(120),
                 curve: Color32::from_gray(235),
                 quiet: Color32::from_gray(165),
-                selection: Color32::from_rgb(255, 190, 70),
+                selection: accent(ui.ctx()),
             }
         } else {
             Self {
@@ -524,7 +552,7 @@ impl Ink {
                 beyond: Color32::from_black_alpha(22),
                 curve: Color32::from_gray(30),
                 quiet: Color32::from_gray(85),
-                selection: Color32::from_rgb(200, 100, 0),
+                selection: accent(ui.ctx()),
             }
         }
     }
@@ -539,12 +567,12 @@ const PLOT_HEIGHT: f32 = 148.0;
 const STRIP_HEIGHT: f32 = 15.0;
 const POINT_RADIUS: f32 = 6.0;
 /// Reach of a point or an end, points.
-const GRIP_RADIUS: f32 = 9.0;
+pub(super) const GRIP_RADIUS: f32 = 9.0;
 /// Opacities with a line of their own.
 const OPACITY_LINES: [f32; 3] = [0.01, 0.1, 0.5];
 /// The narrowest window and view, as a share of the volume's range.
 pub(super) const LEAST_WINDOW: f32 = 1e-4;
 /// Step of an arrow key, as a share of the view.
-const KEY_STEP: f32 = 0.005;
+pub(super) const KEY_STEP: f32 = 0.005;
 /// Change of the window by an arrow key, as an exponent.
 const WINDOW_KEY_STEP: f32 = 0.02;

@@ -14,6 +14,7 @@ struct Bench {
     scale: ValueScale,
     edits: usize,
     shaded: Option<bool>,
+    isos: isinglass_core::mode::Isos,
 }
 
 fn harness(name: &str) -> Harness<'static, Bench> {
@@ -30,10 +31,17 @@ fn harness(name: &str) -> Harness<'static, Bench> {
         histogram: (0..256).map(|i| 10_000 / (1 + i)).collect(),
     });
     let given = preset(name).unwrap();
-    let bench = Bench { editor: TransferEditor::default(), given, scale, edits: 0, shaded: None };
+    let bench = Bench {
+        editor: TransferEditor::default(),
+        given,
+        scale,
+        edits: 0,
+        shaded: None,
+        isos: Default::default(),
+    };
     let show = |ui: &mut Ui, bench: &mut Bench| {
         bench.editor.follow(&bench.given, &bench.scale);
-        bench.editor.show(ui, &bench.scale);
+        bench.editor.show(ui, &bench.scale, bench.isos.as_slice());
         let edit = bench.editor.take_edit(ui.ctx());
         bench.shaded = edit.shaded.or(bench.shaded);
         if let Some(transfer) = edit.transfer {
@@ -47,6 +55,14 @@ fn harness(name: &str) -> Harness<'static, Bench> {
 
 fn point(h: &Harness<'_, Bench>, number: usize) -> Pos2 {
     h.get_by_label_contains(&format!("point {number} of ")).rect().center()
+}
+
+fn marks_of(h: &Harness<'_, Bench>) -> Marks {
+    h.state().editor.curve.marks.clone()
+}
+
+fn stop(h: &Harness<'_, Bench>, number: usize) -> Pos2 {
+    h.get_by_label_contains(&format!("stop {number} of ")).rect().center()
 }
 
 fn button(h: &Harness<'_, Bench>, pos: Pos2, button: PointerButton, pressed: bool, modifiers: Modifiers) {
@@ -95,16 +111,18 @@ fn choose(h: &mut Harness<'_, Bench>, combo: &str, item: &str) {
 fn a_point_follows_the_pointer_and_undo_brings_it_back() {
     let mut h = harness("ct");
     let before = h.state().given.clone();
+    let marks = marks_of(&h);
     let at = point(&h, 4);
     drag(&mut h, at, vec2(6.0, -40.0));
     let moved = h.state().given.clone();
-    for (i, (a, b)) in before.points.iter().zip(&moved.points).enumerate() {
+    for (i, (a, b)) in marks.points.iter().zip(&marks_of(&h).points).enumerate() {
         if i == 3 {
-            assert!(b.opacity > 2.0 * a.opacity && b.x > a.x && b.color == a.color, "{a:?} {b:?}");
+            assert!(b.is[0] > 2.0 * a.is[0] && b.x > a.x, "{a:?} {b:?}");
         } else {
             assert_eq!(a, b, "no other point moves");
         }
     }
+    assert_eq!(marks_of(&h).stops, marks.stops, "and no colour");
     assert!(point(&h, 4).distance(at + vec2(6.0, -40.0)) < 1.0, "it lies under the pointer");
     assert!(h.state().edits >= 4, "each refresh of the movement is an edit");
     click(&mut h, "undo");
@@ -120,20 +138,21 @@ fn a_point_follows_the_pointer_and_undo_brings_it_back() {
 #[test]
 fn a_click_adds_a_point_and_a_middle_click_or_delete_removes_it() {
     let mut h = harness("mri");
-    let before = h.state().given.clone();
+    let before = marks_of(&h);
     let free = point(&h, 1) + vec2(30.0, -70.0);
     drag(&mut h, free, vec2(0.0, 0.0));
-    assert_eq!(h.state().given.points.len(), before.points.len() + 1);
+    assert_eq!(marks_of(&h).points.len(), before.points.len() + 1);
+    assert_eq!(marks_of(&h).stops, before.stops, "it has no colour of its own");
     assert!(point(&h, 2).distance(free) < 1.0);
     drag_with(&mut h, PointerButton::Middle, Modifiers::NONE, free, vec2(0.0, 0.0));
-    assert_eq!(h.state().given.points, before.points);
+    assert_eq!(marks_of(&h), before);
     drag(&mut h, free, vec2(9.0, 5.0));
     assert!(point(&h, 2).distance(free + vec2(9.0, 5.0)) < 1.0, "a new point can be dragged on at once");
     press(&mut h, Modifiers::NONE, Key::Delete);
-    assert_eq!(h.state().given.points, before.points);
+    assert_eq!(marks_of(&h), before);
     // A press beside all points with the middle button is for nobody.
     drag_with(&mut h, PointerButton::Middle, Modifiers::NONE, free, vec2(0.0, 0.0));
-    assert_eq!(h.state().given.points, before.points);
+    assert_eq!(marks_of(&h), before);
 }
 
 #[test]
@@ -141,22 +160,26 @@ fn arrows_choose_points_and_move_them() {
     let mut h = harness("ct");
     let at = point(&h, 2);
     drag(&mut h, at, vec2(0.0, 0.0));
-    let before = h.state().given.clone();
-    assert_eq!(h.state().editor.selected, Some(1));
+    let (given, before) = (h.state().given.clone(), marks_of(&h));
+    assert_eq!(h.state().editor.selected, Some(Selected::Point(1)));
     press(&mut h, Modifiers::NONE, Key::ArrowRight);
-    assert_eq!((h.state().editor.selected, &h.state().given), (Some(2), &before), "choosing is no edit");
+    assert_eq!(
+        (h.state().editor.selected_point(), &h.state().given),
+        (Some(2), &given),
+        "choosing is no edit"
+    );
     press(&mut h, Modifiers::NONE, Key::ArrowUp);
     press(&mut h, Modifiers::SHIFT, Key::ArrowRight);
-    let (a, b) = (before.points[2], h.state().given.points[2]);
-    assert!(b.opacity > a.opacity && b.x > a.x, "{a:?} {b:?}");
+    let (a, b) = (before.points[2], marks_of(&h).points[2]);
+    assert!(b.is[0] > a.is[0] && b.x > a.x, "{a:?} {b:?}");
     press(&mut h, Modifiers::SHIFT, Key::ArrowLeft);
     press(&mut h, Modifiers::NONE, Key::ArrowDown);
-    let c = h.state().given.points[2];
+    let c = marks_of(&h).points[2];
     // There and back on the axes of the plot, in single precision.
-    assert!((a.x - c.x).abs() < 1e-5 && (a.opacity - c.opacity).abs() < 1e-5, "{a:?} {c:?}");
+    assert!((a.x - c.x).abs() < 1e-5 && (a.is[0] - c.is[0]).abs() < 1e-5, "{a:?} {c:?}");
     press(&mut h, Modifiers::NONE, Key::ArrowLeft);
     press(&mut h, Modifiers::NONE, Key::Backspace);
-    assert_eq!(h.state().given.points.len(), before.points.len() - 1);
+    assert_eq!(marks_of(&h).points.len(), before.points.len() - 1);
     press(&mut h, Modifiers::NONE, Key::Escape);
     assert_eq!(h.state().editor.selected, None);
 }
@@ -233,8 +256,15 @@ fn presets_and_colour_maps_are_one_step_each() {
     choose(&mut h, "preset", "fluorescence");
     assert_eq!(h.state().given, preset("fluorescence").unwrap());
     choose(&mut h, "colour map", "viridis");
-    let mapped = h.state().given.clone();
-    assert_eq!(mapped, ColorMap::named("viridis").unwrap().onto(&preset("fluorescence").unwrap()));
+    let (mapped, plain) = (h.state().given.clone(), preset("fluorescence").unwrap());
+    let points = Marks::of(&plain.points).points;
+    assert_eq!(marks_of(&h).points, points, "a colour map replaces stops and no point");
+    let map = ColorMap::named("viridis").unwrap();
+    for x in (0..=50).map(|i| i as f32 / 50.0) {
+        let (color, opacity) = h.state().editor.curve.at(h.state().editor.curve.value_at(x));
+        assert!((0..3).all(|n| (color[n] - map.at(x)[n]).abs() < 0.03), "{x}: {color:?}");
+        assert!((opacity - plain.at(x).1).abs() < 1e-5 && (mapped.at(x).1 - opacity).abs() < 1e-5);
+    }
     click(&mut h, "undo");
     assert_eq!(h.state().given, preset("fluorescence").unwrap());
     click(&mut h, "undo");
@@ -248,18 +278,75 @@ fn presets_and_colour_maps_are_one_step_each() {
 }
 
 #[test]
-fn a_point_has_numbers_and_a_colour() {
+fn a_point_has_numbers_and_a_stop_has_a_colour() {
     let mut h = harness("ct");
-    assert!(h.query_by_label("colour of the point").is_none());
+    let below = h.get_by_role_and_label(egui::Role::SpinButton, "level").rect();
+    assert!(h.query_by_label("colour of the stop").is_none());
     let at = point(&h, 5);
     drag(&mut h, at, vec2(0.0, 0.0));
-    assert!(h.query_by_label("colour of the point").is_some());
-    let before = h.state().given.points[4];
+    assert!(h.query_by_label("colour of the stop").is_none(), "a point has no colour");
+    let before = marks_of(&h);
     h.get_by_role_and_label(egui::Role::SpinButton, "opacity").set_value_accesskit(0.5);
     h.run();
-    assert_eq!(h.state().given.points[4], isinglass_core::transfer::ControlPoint { opacity: 0.5, ..before });
+    let after = marks_of(&h);
+    assert_eq!(
+        (after.points[4].is, after.points[4].x, &after.stops),
+        ([0.5], before.points[4].x, &before.stops)
+    );
+    assert_eq!(
+        h.get_by_role_and_label(egui::Role::SpinButton, "level").rect(),
+        below,
+        "no row moves under the pointer"
+    );
     click(&mut h, "remove");
-    assert_eq!(h.state().given.points.len(), preset("ct").unwrap().points.len() - 1);
+    assert_eq!(marks_of(&h).points.len(), before.points.len() - 1);
+    // A stop.
+    let at = stop(&h, 3);
+    drag(&mut h, at, vec2(5.0, 0.0));
+    let moved = marks_of(&h);
+    assert!(moved.stops[2].x > before.stops[2].x && moved.stops[2].is == before.stops[2].is);
+    assert_eq!(moved.points.len(), before.points.len() - 1, "no point moves or comes");
+    assert!(h.query_by_label("colour of the stop").is_some());
+    assert_eq!(h.get_by_role_and_label(egui::Role::SpinButton, "level").rect(), below);
+    let free = stop(&h, 8) + vec2(22.0, 0.0);
+    drag(&mut h, free, vec2(0.0, 0.0));
+    assert_eq!(marks_of(&h).stops.len(), before.stops.len() + 1);
+    press(&mut h, Modifiers::SHIFT, Key::ArrowLeft);
+    press(&mut h, Modifiers::NONE, Key::Delete);
+    assert_eq!((marks_of(&h).stops, marks_of(&h).points), (moved.stops, moved.points));
+    press(&mut h, Modifiers::NONE, Key::ArrowRight);
+    assert_eq!(h.state().editor.selected, Some(Selected::Stop(0)));
+    let first = stop(&h, 1);
+    drag_with(&mut h, PointerButton::Middle, Modifiers::NONE, first, vec2(0.0, 0.0));
+    assert_eq!(marks_of(&h).stops.len(), before.stops.len() - 1);
+}
+
+#[test]
+fn opacity_and_brightness_of_the_whole_curve_are_sliders() {
+    let mut h = harness("ct");
+    let (before, marks) = (h.state().given.clone(), marks_of(&h));
+    h.get_by_label("opacity of the whole curve").set_value_accesskit(2.0);
+    h.run();
+    h.get_by_label("brightness of the whole curve").set_value_accesskit(0.5);
+    h.run();
+    assert_eq!(marks_of(&h), marks);
+    for x in [0.2, 0.4, 0.7, 1.0] {
+        assert!(h.state().given.at(x).1 > before.at(x).1 && h.state().given.at(x).0[0] < before.at(x).0[0]);
+    }
+    click(&mut h, "undo");
+    click(&mut h, "undo");
+    assert_eq!((&h.state().given, h.state().editor.curve.tone), (&before, Tone::default()));
+}
+
+#[test]
+fn surfaces_are_lines_in_the_histogram() {
+    let mut h = harness("ct");
+    h.run();
+    assert!(h.query_by_label_contains("line of surface").is_none());
+    h.state_mut().isos = "300, 1200:0.5".parse().unwrap();
+    h.run();
+    let x = |h: &Harness<'_, Bench>, name: &str| h.get_by_label_contains(name).rect().center().x;
+    assert!(x(&h, "line of surface 1 at 300") < x(&h, "line of surface 2 at"));
 }
 
 /// Steps until the thread has read or written.

@@ -449,6 +449,7 @@ fn a_look_being_edited_is_seen_in_small_frames() {
     let num_asked = v.source.asked.len();
     let half = Intrinsics::perspective(30, 20, 0.7);
     v.set_look(ms(200), look("skin"));
+    assert_eq!(v.source.asked[num_asked..], [(at(0.0), half)], "with the look, not a refresh later");
     v.refresh(ms(201), at(0.0), PICTURE, &BOUNDS);
     v.refresh(ms(349), at(0.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.asked[num_asked..], [(at(0.0), half)]);

@@ -1,0 +1,199 @@
+//! Remembers what the person chooses: panel, size, theme, background, axes, box and light. A choice is what changes in
+//! the window; flags, settings and states are none.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use egui::ThemePreference;
+use isinglass_core::look::Look;
+use isinglass_core::volume::Lighting;
+use isinglass_formats::{Remembered, SavedView, Srgb};
+
+use super::ViewerApp;
+use super::state::{THEMES, theme_preference};
+use crate::paint::view_aids::ViewAids;
+use crate::panels::background::{Background, write_text};
+use crate::panels::light::usual_lighting;
+use crate::view::frame_source::FrameSource;
+use crate::view::waker_of;
+
+/// The choices, and their file.
+#[derive(Default)]
+pub(super) struct ChoiceKeeper {
+    /// None where nothing is remembered.
+    file: Option<PathBuf>,
+    chosen: Remembered,
+    /// What the window showed when it was last compared.
+    shown: Option<Remembered>,
+    /// When a choice that is not written yet was made.
+    changed_at: Option<Duration>,
+    writing: Background<()>,
+    /// Whether the volume shown has its first light already.
+    is_lit: bool,
+}
+
+impl ChoiceKeeper {
+    /// `is_lit` if the first volume comes with a light that somebody chose.
+    pub(super) fn new(file: Option<PathBuf>, chosen: Remembered, is_lit: bool) -> Self {
+        Self { file, chosen, is_lit, ..Self::default() }
+    }
+
+    /// What changes until the next comparison is no choice: a state sets it. `has_light` if it sets the light, too.
+    pub(super) fn forget_shown(&mut self, has_light: bool) {
+        self.shown = None;
+        self.is_lit |= has_light;
+    }
+
+    /// Another source is shown.
+    pub(super) fn turn(&mut self) {
+        (self.shown, self.is_lit) = (None, false);
+    }
+
+    /// Takes over what differs from what was shown before.
+    fn note(&mut self, now: Duration, shown: Remembered) {
+        let Some(before) = self.shown.replace(shown.clone()) else { return };
+        let chosen = self.chosen.clone();
+        fn newer<T: PartialEq>(before: Option<T>, shown: Option<T>, chosen: &mut Option<T>) {
+            if before != shown && before.is_some() && shown.is_some() {
+                *chosen = shown;
+            }
+        }
+        newer(before.size, shown.size, &mut self.chosen.size);
+        newer(before.panel, shown.panel, &mut self.chosen.panel);
+        newer(before.light, shown.light, &mut self.chosen.light);
+        let (of_before, of_shown, view) = (before.view, shown.view, &mut self.chosen.view);
+        newer(of_before.theme, of_shown.theme, &mut view.theme);
+        newer(of_before.background, of_shown.background, &mut view.background);
+        newer(of_before.shows_axes, of_shown.shows_axes, &mut view.shows_axes);
+        newer(of_before.shows_box, of_shown.shows_box, &mut view.shows_box);
+        if self.chosen != chosen {
+            self.changed_at = Some(now);
+        }
+    }
+
+    /// Writes choices that have not changed for a while. A disk that fails loses them, and nothing else.
+    fn write(&mut self, ctx: &egui::Context, now: Duration) {
+        if let Some(Err(problem)) = self.writing.take() {
+            tracing::warn!("choices are not kept: {problem}");
+        }
+        let Some(file) = self.file.clone() else { return };
+        let Some(at) = self.changed_at.filter(|_| !self.writing.is_busy()) else { return };
+        if now < at + WRITE_AFTER {
+            ctx.request_repaint_after(at + WRITE_AFTER - now);
+            return;
+        }
+        self.changed_at = None;
+        let text = self.chosen.to_toml();
+        self.writing = Background::run(&waker_of(ctx), move || {
+            let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
+            folder.map_err(|e| format!("{}: {e}", file.display()))?;
+            write_text(file, &text, true).map(drop)
+        });
+    }
+}
+
+impl<S: FrameSource> ViewerApp<S> {
+    /// Call this once in a refresh.
+    pub(super) fn keep_choices(&mut self, ctx: &egui::Context, now: Duration, has_frame: bool) {
+        if self.keeper.file.is_none() {
+            return;
+        }
+        if has_frame {
+            self.light_once(now);
+        }
+        let theme = ctx.options(|o| o.theme_preference);
+        let view = SavedView {
+            theme: THEMES.iter().find(|(_, t)| *t == theme).map(|(theme, _)| *theme),
+            background: Some(Srgb(self.aids.background)),
+            shows_axes: Some(self.aids.shows_axes),
+            shows_box: Some(self.aids.shows_box),
+            ..SavedView::default()
+        };
+        let light = self.viewing.look().filter(|_| self.keeper.is_lit).map(|look| look.lighting);
+        let panel = self.shows_bars.then_some(self.is_look_open);
+        let shown = Remembered { size: window_size(ctx), panel, view, light };
+        self.keeper.note(now, shown);
+        self.keeper.write(ctx, now);
+    }
+
+    /// Gives a volume the person's light behind its first frame, unless it came with a light. So the first frame waits
+    /// for no shade. The server's time must be known by then.
+    fn light_once(&mut self, now: Duration) {
+        if self.keeper.is_lit {
+            return;
+        }
+        let Some(time) = self.viewing.time_of_frame() else { return };
+        self.keeper.is_lit = true;
+        // On a slow server every edit would wait for its shade at rest. There, the person decides.
+        if time > LONGEST_FRAME && self.keeper.chosen.light.is_none() {
+            return;
+        }
+        let Some(look) = self.viewing.look().filter(|look| look.lighting == Lighting::default()) else {
+            return;
+        };
+        let lighting = self.keeper.chosen.light.unwrap_or_else(usual_lighting);
+        if lighting != look.lighting {
+            self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
+        }
+    }
+
+    /// Returns to the first choices.
+    pub(super) fn reset_choices(&mut self, ctx: &egui::Context, now: Duration) {
+        self.keeper.chosen = Remembered::default();
+        self.keeper.changed_at = Some(now);
+        ctx.set_theme(THEMES.first().map_or(ThemePreference::Dark, |(theme, _)| theme_preference(*theme)));
+        let first = ViewAids::default();
+        self.aids.background = first.background;
+        (self.aids.shows_axes, self.aids.shows_box) = (true, first.shows_box);
+        if let Some(look) = self.viewing.look() {
+            self.viewing.set_look(now, Look { lighting: usual_lighting(), ..(*look).clone() });
+        }
+        // What this changes is no choice.
+        self.keeper.forget_shown(true);
+        self.tell(now, "the choices are those of the first start");
+        ctx.request_repaint();
+    }
+}
+
+/// Columns and rows of the window, points, while it is an ordinary one.
+fn window_size(ctx: &egui::Context) -> Option<[u32; 2]> {
+    ctx.input(|i| {
+        let window = i.viewport();
+        let is_whole = [window.fullscreen, window.maximized, window.minimized].contains(&Some(true));
+        let size = window.inner_rect.filter(|_| !is_whole)?.size();
+        Some([size.x.round() as u32, size.y.round() as u32])
+    })
+}
+
+/// The longest time of a server for a whole frame with which ambient occlusion is on from the first.
+const LONGEST_FRAME: Duration = Duration::from_secs(1);
+/// Choices are written when none has changed for this time.
+const WRITE_AFTER: Duration = Duration::from_secs(1);
+
+#[cfg(test)]
+mod tests {
+    use isinglass_formats::Theme;
+
+    use super::*;
+
+    #[test]
+    fn what_changes_in_the_window_is_a_choice_and_what_it_began_with_is_none() {
+        let of = |theme, size| Remembered {
+            size: Some(size),
+            view: SavedView { theme: Some(theme), ..SavedView::default() },
+            ..Remembered::default()
+        };
+        let mut keeper = ChoiceKeeper::default();
+        keeper.note(Duration::ZERO, of(Theme::Light, [700, 500]));
+        assert_eq!((&keeper.chosen, keeper.changed_at), (&Remembered::default(), None), "flags set this");
+        keeper.note(Duration::from_secs(1), of(Theme::System, [700, 500]));
+        let theme_only = Remembered { size: None, ..of(Theme::System, [0; 2]) };
+        assert_eq!((&keeper.chosen, keeper.changed_at), (&theme_only, Some(Duration::from_secs(1))));
+        // A state is no choice either.
+        keeper.forget_shown(true);
+        keeper.note(Duration::from_secs(2), of(Theme::Dark, [900, 500]));
+        assert_eq!(keeper.chosen, theme_only);
+        keeper.note(Duration::from_secs(3), of(Theme::Dark, [901, 500]));
+        assert_eq!(keeper.chosen, Remembered { size: Some([901, 500]), ..theme_only });
+    }
+}

@@ -1,0 +1,141 @@
+//! How soon is an edit of the look on the screen, and what comes first?
+//!
+//! The figures of a real volume: `cargo test --release -p isinglass-tests --test edits -- --ignored --nocapture`.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use isinglass_client::{Foresight, FrameSize, Standing, Viewing};
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::look::Look;
+use isinglass_core::session::rate::CodingPlan;
+use isinglass_core::transfer::Domain;
+use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::volume::{Histogram, Volume};
+use isinglass_formats::{OpenOptions, default_transfer, open};
+use isinglass_net::{Client, ClientOptions};
+use isinglass_render::Backend;
+use isinglass_server::{ServeOptions, Timing, start};
+use isinglass_tests::data_dir;
+
+/// When frames of a new look appeared, and how many lists they had.
+struct Seen {
+    at: Duration,
+    num_lists: usize,
+    is_exact: bool,
+}
+
+/// Shows a volume until it is exact, and then makes edits, `pause` apart. Returns what was seen after each.
+fn play(
+    (source, volume): (&str, Volume),
+    picture: Intrinsics,
+    edits: &[fn(&mut Look)],
+    pause: Option<Duration>,
+) -> Vec<Vec<Seen>> {
+    let mut threads = tokio::runtime::Builder::new_multi_thread();
+    let runtime = threads.worker_threads(2).enable_all().build().unwrap();
+    let look = Look::new(default_transfer(source, &volume, &Histogram::of(&volume)));
+    let bounds = volume.bounds();
+    let options = ServeOptions {
+        volume: Arc::new(volume),
+        look: look.clone(),
+        backend: Backend::Cpu,
+        listen: SocketAddr::from(([127, 0, 0, 1], 0)),
+        plan: CodingPlan::default(),
+        max_viewers: 4,
+        library: None,
+        timing: Timing::default(),
+    };
+    let server = runtime.block_on(async { start(options) }).unwrap();
+    let link = runtime.block_on(server.mint_link(None)).unwrap();
+    let client = Client::connect(&link, ClientOptions::default()).unwrap();
+    client.wait_connected(Duration::from_secs(60)).unwrap();
+    let budget = Some(Duration::from_millis(300));
+    let frame_size = FrameSize { moving_budget: budget, ..FrameSize::default() };
+    let mut viewing = Viewing::new(client, frame_size, Foresight::default());
+    let pose = Pose::orbit(bounds.center(), 0.4, 0.3, bounds.radius() * picture.fit_distance());
+    let begun = Instant::now();
+    let refresh = |viewing: &mut Viewing<Client>| {
+        std::thread::sleep(Duration::from_millis(8));
+        assert!(begun.elapsed() < Duration::from_secs(300), "no rest");
+        viewing.refresh(begun.elapsed(), pose, picture, &bounds)
+    };
+    while refresh(&mut viewing).standing != Standing::Exact {}
+    let mut seen = Vec::new();
+    let mut wanted = look;
+    for edit in edits {
+        edit(&mut wanted);
+        viewing.set_look(begun.elapsed(), wanted.clone());
+        let edited = Instant::now();
+        let mut of_edit: Vec<Seen> = Vec::new();
+        loop {
+            let refresh = refresh(&mut viewing);
+            let is_new = refresh.changed && refresh.older_look_since.is_none();
+            if let Some(frame) = refresh.frame.filter(|_| is_new) {
+                let num_lists = frame.frame.header.camera.intrinsics.num_pixels();
+                of_edit.push(Seen { at: edited.elapsed(), num_lists, is_exact: frame.is_exact });
+            }
+            let is_over = pause.is_some_and(|pause| edited.elapsed() >= pause);
+            if is_over || (refresh.standing == Standing::Exact && !of_edit.is_empty()) {
+                break;
+            }
+        }
+        seen.push(of_edit);
+    }
+    seen
+}
+
+const EDITS: [fn(&mut Look); 5] = [
+    |look| look.transfer.points.iter_mut().for_each(|p| p.color = [p.color[2], p.color[0], p.color[1]]),
+    |look| look.transfer.points.iter_mut().for_each(|p| p.opacity *= 0.7),
+    |look| look.transfer.domain = Domain::Percentiles(2.0, 99.5),
+    |look| look.lighting.ambient_occlusion = 0.5,
+    |look| look.transfer.points.iter_mut().for_each(|p| p.opacity *= 0.8),
+];
+
+#[test]
+fn every_edit_is_on_the_screen_and_exact_in_the_end() {
+    let picture = Intrinsics::perspective(96, 64, 0.6);
+    let seen = play(("builtin:shells", Builtin::Shells.volume(40)), picture, &EDITS, None);
+    for of_edit in &seen {
+        let last = of_edit.last().unwrap();
+        assert!(last.is_exact && last.num_lists >= picture.num_pixels());
+    }
+    // Edits that follow each other too fast for whole frames are seen all the same.
+    let edits: Vec<fn(&mut Look)> = (0..40).map(|i| EDITS[i % 2]).collect();
+    let seen = play(
+        ("builtin:shells", Builtin::Shells.volume(40)),
+        picture,
+        &edits,
+        Some(Duration::from_millis(120)),
+    );
+    assert!(seen.iter().filter(|of_edit| !of_edit.is_empty()).count() > 10, "the editor starves");
+}
+
+/// Asserts nothing: times are those of the machine.
+#[test]
+#[ignore = "prints times of a real volume"]
+fn times_of_edits() {
+    let Some(folder) = data_dir() else { return };
+    let path = folder.join("mouse_brain.nrrd");
+    let volume = open(path.to_str().unwrap(), &OpenOptions::default()).unwrap();
+    let picture = Intrinsics::perspective(1230, 770, 0.6);
+    for pause in [None, Some(Duration::from_millis(1000))] {
+        for (i, of_edit) in
+            play(("mouse_brain.nrrd", volume.clone()), picture, &EDITS, pause).iter().enumerate()
+        {
+            let each = of_edit.iter().map(|s| {
+                format!(
+                    "{:.2} s {} k{}",
+                    s.at.as_secs_f32(),
+                    s.num_lists / 1000,
+                    if s.is_exact { "=" } else { "" }
+                )
+            });
+            eprintln!("edit {i} {pause:?}: {}", each.collect::<Vec<_>>().join(", "));
+        }
+    }
+}
