@@ -74,7 +74,7 @@ fn state(seed: u32) -> SavedState {
             stereo: Some(StereoPicture::RedCyan),
             orthographic: Some(seed % 2 == 1),
             eye_angle_degrees: Some(odd(seed)),
-            slices: (seed % 2 == 0).then(|| slices(seed)),
+            slices: seed.is_multiple_of(2).then(|| slices(seed)),
             ..SavedView::default()
         },
         look: Some(Look { shaded: seed.is_multiple_of(2), k: 9, clip: clip(seed), ..Look::new(transfer) }),
