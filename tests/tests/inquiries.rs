@@ -1,4 +1,4 @@
-//! Does a server answer what a viewer asks beside frames: shade that is worked out at rest, values at points, pictures to keep?
+//! Does a server answer what a viewer asks beside frames: shade that is worked out at rest, values at points, pictures to keep, slices?
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -8,13 +8,14 @@ use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::ids::{LookVersion, ScreenshotId};
 use isinglass_core::kernels::march::{Scene, render};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::screenshot::ReceivedScreenshot;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::volume::{Lighting, Volume};
+use isinglass_core::volume::{Lighting, SlabMode, Slice, SlicePlane, SliceSpec, Volume};
 use isinglass_formats::{load_transfer, png};
 use isinglass_net::{Client, ClientOptions};
 use isinglass_render::Backend;
@@ -227,5 +228,48 @@ fn the_newest_picture_wins_and_one_that_is_cancelled_does_not_come() {
         client.talk().screenshot.request(pose(0.2), Intrinsics::perspective(8192, 8192, 0.6), [0; 3], None);
     let found = wait_for("the refusal", || client.talk().screenshot.take_outcome());
     assert!(found.id == huge && found.png.is_err());
+    runtime.block_on(server.close());
+}
+
+#[test]
+fn slices_are_the_server_s_voxels_and_those_that_nobody_waits_for_any_more_do_not_come() {
+    let runtime = runtime();
+    let volume = Arc::new(Builtin::Cloud.volume(40));
+    let server = serve(&runtime, &volume);
+    let (one, other) = (connect(&runtime, &server), connect(&runtime, &server));
+    let across = |axis: u8, index: u32| SliceSpec {
+        plane: SlicePlane::Axis { axis, index },
+        thickness: 0.0,
+        mode: SlabMode::Mean,
+    };
+    let step = volume.spacing().min_element();
+    let oblique = SliceSpec {
+        plane: SlicePlane::Oblique {
+            origin: [-10.0 * step; 3],
+            column: [step * 0.8, step * 0.6, 0.0],
+            row: [0.0, 0.0, step],
+            size: [30, 20],
+        },
+        thickness: 3.0 * step,
+        mode: SlabMode::Max,
+    };
+    let specs = [across(0, 7), across(1, 20), across(2, 39), oblique];
+    one.talk().slices.want(&specs.map(|spec| (spec, false)));
+    let found = specs.map(|spec| wait_for("a slice", || one.talk().slices.get(&spec)));
+    for (slice, spec) in found.iter().zip(&specs) {
+        assert_eq!(Some((**slice).clone()), Slice::of(&volume, spec, ALWAYS));
+    }
+    assert!(*found[0] != *found[1], "negative control: slices differ");
+    assert!(other.talk().slices.get(&specs[0]).is_none(), "the other viewer gets nothing");
+    // Somebody pages past all of them, and stays.
+    for index in 0..40 {
+        other.talk().slices.want(&[(across(2, index), false)]);
+    }
+    wait_for("the last one", || other.talk().slices.get(&across(2, 39)));
+    let num_there = (0..40).filter(|i| other.talk().slices.get(&across(2, *i)).is_some()).count();
+    assert!(num_there < 10, "{num_there} of 40 came");
+    // Frames are made all the same.
+    let id = other.set_pose(pose(0.7), SIZE);
+    wait_for("a frame", || other.latest_frame().filter(|f| f.frame.header.pose == id));
     runtime.block_on(server.close());
 }

@@ -44,6 +44,10 @@ id!(
     ScreenshotId(u32)
 );
 id!(
+    /// One slice through the volume, numbered by the client.
+    SliceId(u32)
+);
+id!(
     /// Position of a chunk within its frame: 0 is sent first.
     ChunkIndex(u16)
 );

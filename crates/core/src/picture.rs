@@ -28,6 +28,18 @@ impl Picture {
         inner
     }
 
+    /// The picture with its transparency, encoded as 8-bit sRGB with straight opacity, four bytes per pixel.
+    pub fn to_srgba8(&self) -> Vec<u8> {
+        let byte = |x: f32| (x * 255.0 + 0.5) as u8;
+        let mut out = Vec::with_capacity(self.pixels.len() * 4);
+        for p in &self.pixels {
+            let opacity = p[3].clamp(0.0, 1.0);
+            let color = |ch: usize| if opacity > 0.0 { byte(srgb_from_linear(p[ch] / opacity)) } else { 0 };
+            out.extend([color(0), color(1), color(2), byte(opacity)]);
+        }
+        out
+    }
+
     /// The picture over an opaque linear background, encoded as 8-bit sRGB, three bytes per pixel.
     pub fn to_srgb8(&self, background: [f32; 3]) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.pixels.len() * 3);
@@ -54,6 +66,20 @@ pub fn linear_from_srgb(x: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_transparent_picture_looks_over_black_as_it_did() {
+        let mut p = Picture::new(3, 1);
+        p.pixels = vec![[0.0; 4], [0.1, 0.2, 0.05, 0.5], [0.3, 0.6, 0.9, 1.0]];
+        let (rgba, rgb) = (p.to_srgba8(), p.to_srgb8([0.0; 3]));
+        assert_eq!(rgba[..4], [0; 4]);
+        assert_eq!((&rgba[8..11], rgba[11]), (&rgb[6..9], 255), "what is opaque is the same");
+        for ch in 0..3 {
+            let straight = linear_from_srgb(f32::from(rgba[4 + ch]) / 255.0) * f32::from(rgba[7]) / 255.0;
+            assert!((straight - p.pixels[1][ch]).abs() < 0.01);
+        }
+        assert_ne!(rgba[4], rgb[3], "control: straight colours are brighter");
+    }
 
     #[test]
     fn cropping_keeps_the_middle() {

@@ -25,6 +25,7 @@ mod hyperslab;
 pub mod iglf;
 mod loading;
 mod metaimage;
+pub mod movie;
 mod mrc;
 mod nifti;
 mod npy;
@@ -71,8 +72,10 @@ pub use selection::{Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{OpenOptions, open, outline};
 pub use state::{
-    MAX_LINK_BYTES, MAX_STATE_BYTES, ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb,
-    StereoPicture, Theme, is_state, read_state, state_from_bytes, state_from_link, state_to_link,
+    MAX_LINK_BYTES, MAX_MEASURE_POINTS, MAX_MEASURES, MAX_STATE_BYTES, MAX_VIEWS, MeasureKind, NamedView,
+    ReadState, SavedCamera, SavedMeasure, SavedPlane, SavedSlices, SavedState, SavedView, SavedVolume, Srgb,
+    StereoPicture, Theme, UpAxis, is_state, is_view_name, read_state, state_from_bytes, state_from_link,
+    state_to_link,
 };
 pub use transfer::{MAX_TRANSFER_BYTES, load_transfer, transfer_from_toml, transfer_to_toml};
 pub use transfer_import::{ImportedTransfer, import_transfers};

@@ -37,7 +37,7 @@ fn resolved(path: &Path) -> PathBuf {
 }
 
 /// A temporary file in the folder of `path`, deleted unless it is kept; `None` if `path` is a device or pipe.
-fn file_beside(path: &Path) -> io::Result<Option<NamedTempFile<File>>> {
+pub(crate) fn file_beside(path: &Path) -> io::Result<Option<NamedTempFile<File>>> {
     match fs::metadata(path) {
         Ok(found) if found.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
         Ok(found) if !found.is_file() => return Ok(None),

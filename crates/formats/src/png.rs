@@ -56,6 +56,12 @@ pub struct PngError {
 /// # Errors
 /// The bytes are no PNG file, or one of a larger picture.
 pub fn decode(png: &[u8], most_pixels: u64) -> Result<Rgb8, PngError> {
+    let picture = decode_any(png, most_pixels)?;
+    let (width, height) = (picture.width(), picture.height());
+    Ok(Rgb8 { width, height, bytes: picture.into_rgb8().into_raw() })
+}
+
+fn decode_any(png: &[u8], most_pixels: u64) -> Result<DynamicImage, PngError> {
     let failed = |width, height, cause: String| PngError { width, height, cause };
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(most_pixels * 16);
@@ -65,23 +71,34 @@ pub fn decode(png: &[u8], most_pixels: u64) -> Result<Rgb8, PngError> {
     if u64::from(width) * u64::from(height) > most_pixels {
         return Err(failed(width, height, format!("expected at most {most_pixels} pixels")));
     }
-    let picture = DynamicImage::from_decoder(decoder).map_err(|e| failed(width, height, e.to_string()))?;
-    Ok(Rgb8 { width, height, bytes: picture.into_rgb8().into_raw() })
+    DynamicImage::from_decoder(decoder).map_err(|e| failed(width, height, e.to_string()))
 }
 
-/// The PNG file of a picture in 8-bit sRGB, with three bytes for each pixel, row by row from the top.
+/// Reads a PNG file of at most `most_pixels` pixels: its columns and rows, and four bytes a pixel, with straight opacity.
+///
+/// # Errors
+/// The bytes are no PNG file, or one of a larger picture.
+pub fn decode_rgba(png: &[u8], most_pixels: u64) -> Result<([u32; 2], Vec<u8>), PngError> {
+    let picture = decode_any(png, most_pixels)?;
+    Ok(([picture.width(), picture.height()], picture.into_rgba8().into_raw()))
+}
+
+/// The PNG file of a picture in 8-bit sRGB, row by row from the top. A pixel has three bytes, or four with its straight
+/// opacity.
 ///
 /// # Errors
 /// The number of bytes does not match the size.
-pub fn encode(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, PngError> {
+pub fn encode(width: u32, height: u32, pixels: &[u8]) -> Result<Vec<u8>, PngError> {
     let failed = |cause: String| PngError { width, height, cause };
-    let expected = width as usize * height as usize * 3;
-    if rgb.len() != expected {
-        return Err(failed(format!("found {} bytes, expected {expected}", rgb.len())));
-    }
+    let num_pixels = width as usize * height as usize;
+    let color = match pixels.len() {
+        length if length == 3 * num_pixels => ExtendedColorType::Rgb8,
+        length if length == 4 * num_pixels => ExtendedColorType::Rgba8,
+        length => return Err(failed(format!("found {length} bytes, expected {}", 3 * num_pixels))),
+    };
     let mut png = Vec::new();
     let encoder = PngEncoder::new(Cursor::new(&mut png));
-    encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8).map_err(|e| failed(e.to_string()))?;
+    encoder.write_image(pixels, width, height, color).map_err(|e| failed(e.to_string()))?;
     Ok(png)
 }
 
@@ -96,5 +113,9 @@ mod tests {
         assert_eq!(decode(&png, 15).unwrap(), Rgb8 { width: 5, height: 3, bytes: rgb.clone() });
         assert!(decode(&png, 14).is_err() && decode(&png[..40], 15).is_err() && decode(b"no", 15).is_err());
         assert!(encode(5, 4, &rgb).is_err());
+        let rgba: Vec<u8> = rgb.chunks(3).flat_map(|p| [p[0], p[1], p[2], 77]).collect();
+        let png = encode(5, 3, &rgba).unwrap();
+        assert!(decode(&png, 15).unwrap().bytes == rgb && png[25] == 6, "its colour type has opacity");
+        assert_eq!(decode_rgba(&png, 15).unwrap(), ([5, 3], rgba));
     }
 }

@@ -93,6 +93,20 @@ fn a_turntable_is_so_many_pictures_and_each_is_that_of_render() {
     }
     let other = bench.json(&format!("compare {} {} --json", all[0], all[2]));
     assert!(other["max_abs_255"].as_u64() > Some(8), "negative control: {other}");
+    // The same as a movie, whose first picture any reader of PNG files sees.
+    bench.ok(&format!("{turntable} -o turn.apng {RENDER}"));
+    let first = bench.json("compare turn.apng turn/0000.png --json");
+    assert_eq!(first["max_abs_255"].as_u64(), Some(0));
+    bench.ok(&format!("{turntable} -o turn.gif {RENDER}"));
+    assert!(std::fs::read(bench.path("turn.gif")).unwrap().starts_with(b"GIF89a"));
+    bench.write("path.txt", "0 10 15\n0.08 20 15\n");
+    bench.ok(&format!("render builtin:cubus@32 --path path.txt -o along {RENDER}"));
+    let same = bench.json("compare along/0000.png turn/0000.png --json");
+    assert!(same["max_abs_255"].as_u64() <= Some(1) && bench.path("along/0002.png").exists(), "{same}");
+    assert!(!bench.path("along/0003.png").exists());
+    let both = "render builtin:cubus@32 --turntable 2 --path path.txt -o both";
+    bench.fails(&format!("{both} {RENDER}"), 2, &["--turntable and --path"]);
+    bench.fails(&format!("render builtin:cubus@32 -o one.gif {RENDER}"), 2, &["PNG files"]);
     // A folder is no file, and one picture is no turntable.
     bench.fails(&format!("render builtin:cubus@32 -o turn {RENDER}"), 2, &["found a folder"]);
     bench.fails(&format!("render builtin:cubus@32 --turntable 1 -o turn {RENDER}"), 2, &["turntable"]);

@@ -42,6 +42,7 @@ fn state() -> SavedState {
         camera: Some(SavedCamera::of(controls.center(), controls.placement(), intrinsics)),
         view: SavedView { background: Some(Srgb([32, 64, 96])), ..SavedView::default() },
         look: Some(look),
+        ..SavedState::default()
     }
 }
 

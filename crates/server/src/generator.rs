@@ -186,7 +186,7 @@ impl Generator {
     }
 
     /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade. It is 8-bit
-    /// sRGB over a linear background, three bytes per pixel. It is made in pieces, with frames in between, and only
+    /// sRGB over a linear background, three bytes per pixel, or transparent with four. It is made in pieces, with frames in between, and only
     /// one at a time, because pictures are large. `None` if the thread has ended. Dropping this cancels the picture.
     ///
     /// # Errors
@@ -197,7 +197,7 @@ impl Generator {
         look: &Look,
         lights: &Lights,
         camera: Camera,
-        background: [f32; 3],
+        background: Option<[f32; 3]>,
     ) -> Option<Result<Vec<u8>, GenerateError>> {
         let _turn = self.pictures.acquire().await.ok()?;
         let lit = if look.lighting.is_on() { Some(lights.scene(look).await?) } else { None };
@@ -210,7 +210,10 @@ impl Generator {
             match answer.await.ok()? {
                 Ok(rows) => {
                     first += rows.height;
-                    srgb.extend(rows.to_srgb8(background));
+                    srgb.extend(match background {
+                        Some(background) => rows.to_srgb8(background),
+                        None => rows.to_srgba8(),
+                    });
                 }
                 // Another renderer has replaced a lost one, so this tries once more.
                 Err(e) if e.is_lost() && !std::mem::replace(&mut has_failed, true) => {}

@@ -12,6 +12,7 @@ mod pipeline;
 mod screenshots;
 mod selection;
 mod serving;
+mod slices;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -24,7 +25,7 @@ use isinglass_core::wire::Choices;
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, BindError, Clock, Identity, Journal, Link, Server};
 use isinglass_render::Backend;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use generator::Generator;
@@ -145,7 +146,8 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         load: load_in,
     };
     let coders = pipeline::coders()?;
-    let common = serving::Common { generator, present, load, orders, plan, after_work, coders };
+    let slice_makers = Arc::new(Semaphore::new(slices::MAX_MAKERS));
+    let common = serving::Common { generator, present, load, orders, plan, after_work, coders, slice_makers };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
     let serving = tokio::spawn(serving::serve(server, reader, common, receiver, attendance_in, newest_in));

@@ -70,7 +70,8 @@ async fn make(
 ) -> Result<Vec<u8>, String> {
     let view = shot.view().map_err(|e| e.to_string())?;
     let camera = Camera::new(view.pose, view.intrinsics, &present.bounds);
-    let background = shot.background.map(|c| linear_from_srgb(f32::from(c) / 255.0));
+    let linear = |rgb: [u8; 3]| rgb.map(|c| linear_from_srgb(f32::from(c) / 255.0));
+    let background = shot.background.map(linear);
     // Light for a look of its own would push out the light that other viewers share.
     let own = shot.look.as_deref().map(|look| Look { lighting: Lighting::default(), ..look.clone() });
     let look = own.as_ref().unwrap_or(look);

@@ -12,7 +12,7 @@ use isinglass_core::session::frames::FramesServer;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::selection::Load;
 use isinglass_net::{AfterWork, Journal, Server, Session};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 use tracing::Instrument;
@@ -21,6 +21,7 @@ use crate::generator::Generator;
 use crate::pipeline::{Coders, Pipeline, Sent};
 use crate::screenshots::Screenshots;
 use crate::selection::{Order, Present, SelectionReader};
+use crate::slices::Slices;
 use crate::{Attendance, Command};
 
 /// State that all viewers share.
@@ -33,6 +34,8 @@ pub(crate) struct Common {
     pub(crate) plan: CodingPlan,
     pub(crate) after_work: AfterWork,
     pub(crate) coders: Coders,
+    /// One for each slice that may be made at a time.
+    pub(crate) slice_makers: Arc<Semaphore>,
 }
 
 /// Admits viewers until told to close.
@@ -94,6 +97,7 @@ struct Viewer {
     /// The shade that is being computed, with its look version.
     refining: Option<(LookVersion, JoinHandle<bool>)>,
     screenshots: Screenshots,
+    slices: Slices,
 }
 
 impl Drop for Viewer {
@@ -117,6 +121,7 @@ impl Viewer {
         let screenshots =
             Screenshots::new(common.generator.clone(), session.frames.clone(), session.control.clone());
         let (frames, control) = (session.frames.clone(), session.control.clone());
+        let slices = Slices::new(common.slice_makers.clone(), frames.clone(), control.clone());
         let pipeline = Pipeline::new(frames, control, session.journal.clone(), &common);
         Self {
             session,
@@ -129,6 +134,7 @@ impl Viewer {
             is_new,
             refining: None,
             screenshots,
+            slices,
         }
     }
 
@@ -176,6 +182,7 @@ impl Viewer {
                 true
             }
             event = self.pipeline.next() => self.handle(event),
+            () = self.slices.next() => true,
             // This comes last because a moving camera always has another pose.
             is_here = self.session.hear() => is_here,
             () = tokio::time::sleep_until(due.unwrap_or_else(Instant::now)), if due.is_some() => true,
@@ -196,6 +203,9 @@ impl Viewer {
             if talk.probe.is_asked() {
                 talk.probe.answer(self.present.lights.volume());
             }
+            if talk.profile.is_asked() {
+                talk.profile.answer(self.present.lights.volume());
+            }
             let quiet = talk.quietly();
             (pose, order) = (quiet.pose.poll_new(), quiet.selection.poll_order());
             (shot, look) = (quiet.screenshot.poll_request(), quiet.look.look().clone());
@@ -206,6 +216,7 @@ impl Viewer {
         if let Some(shot) = shot {
             self.screenshots.set(shot, &look, &self.present);
         }
+        self.slices.advance(&self.present);
         if let Some(part) = order {
             // Without a reader the volume stays as it is.
             let _ = self.common.orders.send((self.session.viewer, part)).await;
@@ -223,6 +234,8 @@ impl Viewer {
             let at_values = before.map(|before| before.lights.at_values(talk.look.look()));
             let volume = greeting.volume.clone();
             talk.look.handle_volume(now, volume, &greeting.look, at_values, |look| lights.is_fine(look));
+            let since = talk.look.version();
+            talk.slices.handle_volume(since);
         }
         self.frames.handle_volume();
         (self.resting, self.sent) = (None, References::default());

@@ -29,13 +29,18 @@ impl<S: FrameSource> ViewerApp<S> {
         let mut input = ControlInput::default();
         for action in actions {
             match action {
-                Action::FirstView => input.reset = true,
+                Action::FirstView => self.turn_camera(now, picture, |controls| controls.reset(picture)),
+                Action::Fit => self.fit(now, picture),
+                Action::PreviousView => self.step_view(now, picture, true),
+                Action::NextView => self.step_view(now, picture, false),
                 Action::Step(step) => add_step(&mut input, step, picture),
                 Action::StandardView(side, opposite) => {
                     let (from, up) = self.orientation().standard_view(side, opposite);
-                    if let Some((_, controls)) = self.controls(picture) {
-                        controls.look_from(from, up);
-                    }
+                    self.turn_camera(now, picture, |controls| controls.look_from(from, up));
+                }
+                Action::Isometric => {
+                    let (from, up) = self.orientation().isometric_view();
+                    self.turn_camera(now, picture, |controls| controls.look_from(from, up));
                 }
                 Action::Numbers => self.shows_numbers = !self.shows_numbers,
                 Action::FullScreen => {
@@ -49,10 +54,12 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
                 Action::Box => self.aids.shows_box = !self.aids.shows_box,
                 Action::Clip => self.toggle_clip(now),
+                Action::Slices => self.toggle_slices(),
                 Action::Projection => self.is_orthographic = !self.is_orthographic,
                 Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
                 Action::Stereo => self.stereo.mode = stereo::next(self.stereo.mode),
                 Action::Probe => self.probe.toggle(),
+                Action::Measure => self.toggle_measures(now),
                 Action::Picture => self.wants_picture = true,
                 Action::PictureDialog => self.screenshots.toggle_dialog(),
                 Action::Mode => self.next_modes += 1,
@@ -80,6 +87,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Help => self.shows_help = !self.shows_help,
                 Action::CloseHelp => {
                     self.shows_help = false;
+                    self.measures.give_up();
                     if !egui::Popup::is_any_open(ctx) {
                         self.screenshots.close_dialog();
                     }

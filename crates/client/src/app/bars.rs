@@ -20,12 +20,13 @@ impl<S: FrameSource> ViewerApp<S> {
         if self.shows_bars {
             let toolbar = Panel::top("toolbar").frame(bar(&ctx)).exact_size(TOOLBAR_HEIGHT);
             let wish = toolbar.show(ui, |ui| self.toolbar().show(ui)).inner;
-            self.choose(wish);
+            self.choose(now, wish);
             let line = Panel::bottom("status line").frame(bar(&ctx)).exact_size(STATUS_HEIGHT);
             line.show(ui, |ui| self.status_line(ui));
             self.show_look_panel(ui, now);
         }
         self.room = ui.available_rect_before_wrap();
+        self.show_slices(ui);
     }
 
     /// What the toolbar and the menu of the picture show.
@@ -36,17 +37,24 @@ impl<S: FrameSource> ViewerApp<S> {
             is_orthographic: self.is_orthographic,
             has_clip_handles: self.clip_editor.is_shown,
             has_probe: self.probe.is_on(),
+            is_measuring: self.is_measuring(),
             shows_axes: self.aids.shows_axes,
             shows_box: self.aids.shows_box,
+            shows_slices: self.slices.is_on(),
             is_look_open: self.is_look_open,
             opens_volumes: self.opens_volumes,
+            axes: self.orientation(),
+            up: self.up_axis,
+            named_views: self.named_views.iter().map(|view| &view.name[..]).collect(),
         }
     }
 
-    pub(super) fn choose(&mut self, wish: Option<ToolbarWish>) {
+    pub(super) fn choose(&mut self, now: Duration, wish: Option<ToolbarWish>) {
         match wish {
             Some(ToolbarWish::Act(action)) => self.chosen_actions.push(action),
             Some(ToolbarWish::Show(mode)) => self.chosen_mode = Some(mode),
+            Some(ToolbarWish::TurnUp(axis)) => self.turn_up(now, axis),
+            Some(ToolbarWish::View(wish)) => self.do_named_view(now, wish),
             None => {}
         }
     }

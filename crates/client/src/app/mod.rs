@@ -4,6 +4,7 @@
 mod actions;
 mod bars;
 mod icon_strip;
+mod measure;
 pub(crate) mod open_dialog;
 pub(crate) mod options;
 mod picture;
@@ -11,8 +12,10 @@ mod refresh;
 pub(crate) mod script;
 mod sections;
 pub(crate) mod side_panel;
+mod slices;
 mod state;
 mod state_part;
+mod views;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,27 +24,32 @@ use std::time::Duration;
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::mode::Mode;
 use isinglass_core::space::Aabb;
-use isinglass_formats::{LoadRequest, ReadState, VolumeSource};
+use isinglass_formats::{LoadRequest, NamedView, ReadState, UpAxis, VolumeSource};
 use isinglass_net::{Clock, Link};
 
+use self::measure::SeenPicture;
 use self::open_dialog::OpenDialog;
 use self::options::{USUAL_HZ, WindowOptions};
 use self::state::ComingState;
 pub(crate) use self::state::theme_preference;
 use crate::input::bindings::{Action, Focus};
 use crate::input::camera_controls::CameraControls;
+use crate::input::camera_moves::CameraMoves;
 use crate::input::orientation::Orientation;
 use crate::input::pointer::Pointer;
 use crate::paint::clip_editor::{self, ClipEditor};
+use crate::paint::measure::MeasureEditor;
 use crate::paint::novel_view::NovelViews;
 use crate::paint::picture::PictureStatus;
 use crate::paint::stereo::Stereo;
 use crate::paint::view_aids::ViewAids;
 use crate::panels::gallery::Gallery;
 use crate::panels::hints::Hints;
+use crate::panels::measure::MeasurePane;
 use crate::panels::parts_bar::PartsBar;
 use crate::panels::probe::ValueProbe;
 use crate::panels::screenshots::Screenshots;
+use crate::panels::slices::SlicePanes;
 use crate::panels::state_files::StateFiles;
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
@@ -83,6 +91,11 @@ pub(crate) struct ViewerApp<S> {
     options: WindowOptions,
     viewing: Viewing<S>,
     controls: Option<(Aabb, CameraControls)>,
+    moves: CameraMoves,
+    /// Whether the camera is on its way to a chosen view.
+    is_turning: bool,
+    up_axis: UpAxis,
+    named_views: Vec<NamedView>,
     clock: Clock,
     opened_at: Duration,
     last_refresh: Duration,
@@ -128,8 +141,12 @@ pub(crate) struct ViewerApp<S> {
     is_look_open: bool,
     pointer: Pointer,
     probe: ValueProbe,
+    measures: MeasureEditor,
+    measure_pane: MeasurePane,
+    seen_picture: Option<SeenPicture>,
     screenshots: Screenshots,
     gallery: Gallery,
+    slices: SlicePanes,
     wants_picture: bool,
     title: String,
     notice: Option<(String, Duration)>,
@@ -166,6 +183,10 @@ impl<S: FrameSource> ViewerApp<S> {
             options,
             viewing,
             controls: None,
+            moves: CameraMoves::default(),
+            is_turning: false,
+            up_axis: UpAxis::default(),
+            named_views: Vec::new(),
             clock,
             opened_at,
             last_refresh: opened_at,
@@ -191,8 +212,12 @@ impl<S: FrameSource> ViewerApp<S> {
             is_look_open: shows_panel,
             pointer: Pointer::default(),
             probe: ValueProbe::default(),
+            measures: MeasureEditor::default(),
+            measure_pane: MeasurePane::default(),
+            seen_picture: None,
             screenshots: Screenshots::default(),
             gallery: Gallery::default(),
+            slices: SlicePanes::default(),
             wants_picture: false,
             title: String::new(),
             notice: None,
@@ -212,9 +237,14 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         let viewing = Viewing::new(source, self.viewing.frame_size, self.options.foresight);
         (self.controls, self.center_chosen_at) = (None, None);
+        (self.up_axis, self.named_views) = (UpAxis::default(), Vec::new());
+        self.moves.clear();
         (self.was_active, self.last_standing, self.had_kept) = (false, None, false);
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
         self.gallery = Gallery::default();
+        self.slices.forget();
+        self.measures.set(Vec::new());
+        (self.measure_pane, self.seen_picture) = (MeasurePane::default(), None);
         (self.coming, self.wish) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
         (self.notice, self.method_problem) = (self.screenshots.forget().map(|told| (told, now)), None);
@@ -269,6 +299,7 @@ impl<S: FrameSource> ViewerApp<S> {
             Some((of, controls)) if *of != bounds => {
                 controls.turn_to(&bounds);
                 *of = bounds;
+                self.moves.clear();
                 self.clip_view = None;
             }
             Some(_) => {}
@@ -284,6 +315,7 @@ impl<S: FrameSource> ViewerApp<S> {
     fn orientation(&self) -> Orientation {
         let description = self.viewing.source().description();
         Orientation::of(description.as_ref().and_then(|d| d.volume.orientation.as_deref()))
+            .with_up(self.up_axis)
     }
 
     fn value_scale(&self) -> Option<ValueScale> {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use egui::PointerButton;
+use isinglass_core::camera::Intrinsics;
 use isinglass_net::ReceivedFrame;
 
 use super::{ViewerApp, is_free};
@@ -12,7 +13,6 @@ use crate::paint::novel_view::Shown;
 use crate::paint::picture::PicturePaint;
 use crate::paint::stereo::Stereo;
 use crate::paint::view_aids::{self, ViewAids, pixel_at};
-use crate::panels::style;
 use crate::view::frame_source::FrameSource;
 use crate::view::pick::visible_point;
 use crate::view::viewing::{Refresh, Standing};
@@ -75,7 +75,8 @@ impl<S: FrameSource> ViewerApp<S> {
         let is_double = ctx.input(|i| i.pointer.button_double_clicked(PointerButton::Primary));
         let at = ctx.pointer_interact_pos().filter(|at| is_double && is_free(ctx, rect, *at));
         let (Some(at), Some(frame)) = (at, &refresh.frame) else { return };
-        if !self.stereo().is_mono() || self.clip_editor.is_busy() {
+        let is_cube = self.aids.shows_axes && self.cube_rect().contains(at);
+        if !self.stereo().is_mono() || self.clip_editor.is_busy() || is_cube || self.is_measuring() {
             return;
         }
         let region = refresh.clip.region(&refresh.bounds);
@@ -87,11 +88,19 @@ impl<S: FrameSource> ViewerApp<S> {
                 false => controls.set_center(point),
             }
         {
+            self.slices.point = point;
             self.center_chosen_at = Some(now);
         }
     }
 
-    pub(super) fn paint_aids(&self, ui: &egui::Ui, now: Duration, rect: egui::Rect, refresh: &Refresh) {
+    pub(super) fn paint_aids(
+        &mut self,
+        ui: &egui::Ui,
+        now: Duration,
+        rect: egui::Rect,
+        refresh: &Refresh,
+        picture: &Intrinsics,
+    ) {
         let (Some((_, controls)), Some(description)) = (&self.controls, self.viewing.source().description())
         else {
             return;
@@ -100,21 +109,30 @@ impl<S: FrameSource> ViewerApp<S> {
         if !self.stereo().is_mono() {
             return;
         }
-        let scene = view_aids::AidsScene {
+        let orientation = self.orientation();
+        let mut scene = view_aids::AidsScene {
             rect,
             camera: &refresh.camera,
             bounds: &refresh.bounds,
-            orientation: &self.orientation(),
+            orientation: &orientation,
             unit: description.volume.unit.as_deref(),
             center: controls.center(),
             shows_center: self.marks_center(now),
             lift: self.parts_bar.height_over(view_aids::CORNER.x),
+            marked: None,
         };
+        self.paint_planes(ui, rect, refresh);
+        scene.marked = self.marked_part(ui.ctx(), &scene);
         self.aids.paint(ui.painter(), &scene);
         let view = clip_editor::ClipView { rect, camera: refresh.camera, bounds: refresh.bounds };
         self.clip_editor.paint(&self.aids.pen(ui.painter()), &view, &refresh.clip);
         if self.aids.shows_axes {
-            style::image(ui, ViewAids::axes_rect(&scene), "axes", &ViewAids::axes_in_words(&scene));
+            let words = ViewAids::axes_in_words(&scene);
+            let part = self.cube_control(ui, &scene, &words, scene.marked);
+            if let Some(part) = part {
+                self.turn_to_part(now, picture, part);
+                ui.ctx().request_repaint();
+            }
         }
     }
 

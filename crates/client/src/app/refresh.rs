@@ -8,6 +8,7 @@ use isinglass_core::prediction::STILL;
 use isinglass_core::wire::{ClientStats, VolumeDescription};
 use isinglass_net::State;
 
+use super::measure::SeenPicture;
 use super::picture::{CENTER_TIME, picture_widget};
 use super::script::{Probe, ScriptStep, Shot};
 use super::{ViewerApp, is_free};
@@ -45,9 +46,11 @@ impl<S: FrameSource> ViewerApp<S> {
             // The button was released while another page was shown.
             self.pointer.end_drag();
             self.clip_editor.end_drag();
+            self.measures.end_drag();
         }
         self.drop_empty_clip(now);
         self.drag_clip(&ctx, now, &mut events);
+        self.drag_measures(&ctx, &mut events);
         let free = |at| is_free(&ctx, rect, at);
         let mut input =
             self.pointer.control_input(&self.options.bindings, &events, rect, ctx.pixels_per_point(), free);
@@ -61,18 +64,22 @@ impl<S: FrameSource> ViewerApp<S> {
         input.zoom_at[0] += (rect.center() - eye_rect.center()).x * ctx.pixels_per_point();
         input.add(&by_keys);
         self.turn_light(now, &picture);
+        let is_by_hand = !input.is_idle();
         let auto_orbit = self.options.auto_orbit_degrees_per_second;
         let turn_pixels =
             auto_orbit / 180.0 * picture.width.min(picture.height) as f32 * elapsed.as_secs_f32();
         // The near side moves to the left as the eye moves towards +x.
         input.orbit[0] -= turn_pixels;
 
-        let refresh = self.refresh(now, &input, picture);
+        let is_held = ctx.input(|i| i.pointer.any_down());
+        let refresh = self.refresh(now, &input, picture, (is_by_hand, is_held));
         // Clip handles are drawn for one eye only.
         self.clip_view = refresh
             .as_ref()
             .filter(|_| self.stereo().is_mono())
             .map(|r| clip_editor::ClipView { rect, camera: r.camera, bounds: r.bounds });
+        let is_mono = self.stereo().is_mono();
+        self.seen_picture = refresh.as_ref().filter(|_| is_mono).and_then(|r| SeenPicture::of(rect, r));
         let state = self.viewing.source().state();
         let notice = self.viewing.source().talk().quietly().link.take_notice();
         if let Some(notice) = notice {
@@ -97,14 +104,15 @@ impl<S: FrameSource> ViewerApp<S> {
             Some((r, frame)) => {
                 self.choose_center(&ctx, now, rect, r);
                 self.paint(ui, rect, r, frame.clone());
-                let picture = picture_widget(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
+                let shown = picture_widget(ui, rect, &format!("{}, {}", self.title, r.standing.word()));
                 let mut chosen = None;
-                if picture.context_menu(|ui| chosen = self.toolbar().show_menu(ui)).is_some() {
+                if shown.context_menu(|ui| chosen = self.toolbar().show_menu(ui)).is_some() {
                     self.hints.note(Hint::Menu);
                 }
-                self.choose(chosen);
-                self.paint_aids(ui, now, rect, r);
+                self.choose(now, chosen);
+                self.paint_aids(ui, now, rect, r, &picture);
                 self.show_probe(&ctx, rect, r);
+                self.show_measures(ui, rect, r);
                 if r.older_look_since.is_some_and(|since| now >= since + OLDER_LOOK_DELAY) {
                     let is_of_volume = self.viewing.source().is_of_volume(&frame);
                     banner::older_look(&ctx, is_of_volume, &state, self.room_at_top());
@@ -140,7 +148,7 @@ impl<S: FrameSource> ViewerApp<S> {
         self.run_script(&ctx, now, refresh.as_ref());
 
         // A moving picture is refreshed without a rest, so that the time between refreshes is the time of a cast.
-        if auto_orbit != 0.0 || self.last_standing == Some(Standing::Moving) {
+        if auto_orbit != 0.0 || self.is_turning || self.last_standing == Some(Standing::Moving) {
             ctx.request_repaint();
         } else if let Some(wait) = self.rest(refresh.as_ref(), &state) {
             ctx.request_repaint_after(wait);
@@ -153,10 +161,18 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    fn refresh(&mut self, now: Duration, input: &ControlInput, picture: Intrinsics) -> Option<Refresh> {
+    fn refresh(
+        &mut self,
+        now: Duration,
+        input: &ControlInput,
+        picture: Intrinsics,
+        (is_by_hand, is_held): (bool, bool),
+    ) -> Option<Refresh> {
         let is_orthographic = self.is_orthographic;
-        let (bounds, controls) = self.controls(&picture)?;
+        self.controls(&picture)?;
+        let (bounds, controls) = self.controls.as_mut()?;
         controls.apply(input, &picture);
+        self.is_turning = self.moves.follow(now, controls, is_by_hand, is_held);
         let (bounds, pose) = (*bounds, controls.pose());
         let camera = match is_orthographic {
             true => controls.parallel_camera(picture, &bounds),

@@ -12,7 +12,7 @@ use super::{AppWish, ViewerApp, is_free};
 use crate::paint::view_aids::pixel_at;
 use crate::panels::browser::Chosen;
 use crate::panels::parts_bar::PartsWish;
-use crate::panels::screenshots::Subject;
+use crate::panels::screenshots::{LegendSubject, Subject};
 use crate::panels::text::mode_name;
 use crate::panels::value_scale::ValueScale;
 use crate::panels::{light, probe};
@@ -31,25 +31,35 @@ impl<S: FrameSource> ViewerApp<S> {
             Some(window) => controls.camera(window, bounds),
             None => *camera,
         };
+        let description = self.viewing.source().description()?;
+        let volume = &description.volume;
+        let legend = self.viewing.look().map(|look| LegendSubject {
+            range: ValueScale::of(volume).domain(&look.transfer.domain),
+            unit: volume.value_unit.clone(),
+            look,
+        });
         Some(Subject {
-            name: self.viewing.source().description()?.volume.name.clone(),
+            name: volume.name.clone(),
             pose: camera.pose,
             intrinsics: camera.intrinsics,
             background: self.aids.background,
             bounds: *bounds,
             center: controls.center(),
             up: self.orientation().up(),
+            unit: volume.unit.clone(),
+            legend,
         })
     }
 
     pub(super) fn show_screenshots(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
-        let subject = refresh.and_then(|refresh| self.subject(&refresh.camera));
+        let is_needed = self.wants_picture || self.screenshots.is_dialog_open();
+        let subject = refresh.filter(|_| is_needed).and_then(|refresh| self.subject(&refresh.camera));
         let is_connected = self.viewing.source().state() == State::Connected;
         if std::mem::take(&mut self.wants_picture)
             && let Some(subject) = subject.clone()
         {
             match is_connected {
-                true => self.screenshots.take(subject),
+                true => self.screenshots.take(ctx, subject),
                 false => {
                     self.tell(now, NO_SERVER_FOR_PICTURE);
                     ctx.request_repaint();

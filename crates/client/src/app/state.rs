@@ -7,7 +7,8 @@ use isinglass_core::camera::Intrinsics;
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{LoadState, LoadStatus, Part};
 use isinglass_formats::{
-    ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, Theme, state_from_link, state_to_link,
+    MAX_LINK_BYTES, ReadState, SavedCamera, SavedState, SavedView, SavedVolume, Srgb, Theme, state_from_link,
+    state_to_link,
 };
 use isinglass_net::{Link, State, state_of_link};
 
@@ -127,12 +128,19 @@ impl<S: FrameSource> ViewerApp<S> {
             orthographic: Some(self.is_orthographic),
             eye_angle_degrees: Some(self.stereo.eye_angle_degrees),
             frame_scale: Some(self.viewing.frame_size.scale),
+            slices: Some(self.saved_slices()),
+            up: Some(self.up_axis),
         };
+        let views = (!self.named_views.is_empty()).then(|| self.named_views.clone());
+        let measures = self.measures.measures();
+        let measures = (!measures.is_empty()).then(|| measures.to_vec());
         Some(SavedState {
             volume: Some(volume),
             camera: Some(SavedCamera::of(controls.center(), controls.placement(), picture)),
             view,
             look: self.viewing.look().map(|look| (*look).clone()),
+            views,
+            measures,
         })
     }
 
@@ -155,6 +163,15 @@ impl<S: FrameSource> ViewerApp<S> {
         set(&mut self.aids.shows_axes, view.shows_axes);
         set(&mut self.shows_numbers, view.shows_numbers);
         set(&mut self.is_orthographic, view.orthographic);
+        if let Some(axis) = view.up {
+            self.set_up_axis(axis);
+        }
+        if let Some(views) = &state.views {
+            self.named_views.clone_from(views);
+        }
+        if let Some(measures) = &state.measures {
+            self.measures.set(measures.clone());
+        }
         self.aids.background = view.background.map_or(self.aids.background, |Srgb(rgb)| rgb);
         if let Some(theme) = view.theme {
             ctx.set_theme(theme_preference(theme));
@@ -162,7 +179,11 @@ impl<S: FrameSource> ViewerApp<S> {
         self.stereo.mode = view.stereo.unwrap_or(self.stereo.mode);
         self.stereo.eye_angle_degrees = view.eye_angle_degrees.unwrap_or(self.stereo.eye_angle_degrees);
         self.viewing.frame_size.scale = view.frame_scale.unwrap_or(self.viewing.frame_size.scale);
+        if let Some(slices) = &view.slices {
+            self.restore_slices(slices);
+        }
         if let Some(camera) = &state.camera {
+            self.moves.stop();
             self.options.fov_y = camera.fov_y();
             let picture = self.stereo().eye_intrinsics(window.with_fov_y(camera.fov_y()));
             let placed = self.controls(&picture).map(|(_, c)| c.place(camera.center(), camera.placement()));
@@ -410,7 +431,14 @@ impl<S: FrameSource> ViewerApp<S> {
             // The path on a server's disk is no business of the recipient.
             None => state.volume.map(SavedVolume::without_place),
         };
-        Some(self.options.link.as_ref()?.of_state(&state_to_link(&SavedState { volume, ..state })))
+        let state = SavedState { volume, ..state };
+        let text = state_to_link(&state);
+        // Many long paths do not fit.
+        let text = match text.len() <= MAX_LINK_BYTES {
+            true => text,
+            false => state_to_link(&SavedState { measures: None, views: None, ..state }),
+        };
+        Some(self.options.link.as_ref()?.of_state(&text))
     }
 }
 

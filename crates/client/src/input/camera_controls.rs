@@ -24,8 +24,6 @@ pub struct ControlInput {
     pub zoom: f32,
     /// The point that zooming keeps in place, from the middle of the picture.
     pub zoom_at: [f32; 2],
-    /// Back to the first view.
-    pub reset: bool,
 }
 
 impl ControlInput {
@@ -36,12 +34,11 @@ impl ControlInput {
         self.pan = sum(self.pan, keys.pan);
         self.roll += keys.roll;
         self.zoom += keys.zoom;
-        self.reset |= keys.reset;
     }
 
     /// Whether it leaves the camera as it is.
     pub fn is_idle(&self) -> bool {
-        self.orbit == [0.0; 2] && self.pan == [0.0; 2] && self.roll == 0.0 && self.zoom == 0.0 && !self.reset
+        self.orbit == [0.0; 2] && self.pan == [0.0; 2] && self.roll == 0.0 && self.zoom == 0.0
     }
 }
 
@@ -124,9 +121,6 @@ impl CameraControls {
     /// Applies what the pointer did. Returns whether the camera changed.
     pub fn apply(&mut self, input: &ControlInput, intrinsics: &Intrinsics) -> bool {
         let before = (self.world_from_view, self.eye_from_center);
-        if input.reset {
-            self.reset(intrinsics);
-        }
         self.orbit(input.orbit, intrinsics);
         self.roll(input.roll);
         self.pan(input.pan, intrinsics);
@@ -158,6 +152,31 @@ impl CameraControls {
         self.world_from_view = Pose::look_at(from, Vec3::ZERO, up).world_from_view;
         self.center = self.middle;
         self.eye_from_center = Vec3::Z * self.bounded_depth(self.eye_from_center.z);
+    }
+
+    /// Turns the picture so that `up` points up in it as far as the direction of view allows.
+    pub fn roll_upright(&mut self, up: Vec3) {
+        let from = self.world_from_view * Vec3::Z;
+        self.world_from_view = Pose::look_at(from, Vec3::ZERO, up).world_from_view;
+    }
+
+    /// Sets the upright space, in which [`CameraControls::reset`] looks at the volume.
+    pub fn set_upright(&mut self, world_from_upright: Quat) {
+        self.world_from_upright = world_from_upright;
+    }
+
+    /// Keeps the direction of view, and brings all of `bounds` into the picture with a small margin.
+    pub fn fit(&mut self, bounds: &Aabb, intrinsics: &Intrinsics, is_parallel: bool) {
+        let (x, y) = intrinsics.half_size_at(1.0);
+        let view_from_world = self.world_from_view.inverse();
+        let depth_of = |corner: Vec3| {
+            let p = view_from_world * (corner - bounds.center());
+            let across = (p.x.abs() / x).max(p.y.abs() / y) * FIT_MARGIN;
+            if is_parallel { across } else { across + p.z }
+        };
+        let depth = bounds.corners().into_iter().map(depth_of).fold(0.0, f32::max);
+        self.center = bounds.center();
+        self.eye_from_center = Vec3::Z * self.bounded_depth(depth);
     }
 
     /// What the camera turns about, world space.
@@ -273,6 +292,8 @@ pub const ZOOM_PER_HEIGHT: f32 = 3.0;
 pub const MIN_DEPTH_IN_RADII: f32 = 0.02;
 /// Farthest distance of the eye; the volume then covers a few dozen pixels.
 pub const MAX_DEPTH_IN_RADII: f32 = 50.0;
+/// How much larger than the volume a picture is that it just fits.
+const FIT_MARGIN: f32 = 1.05;
 /// Largest magnification of one event, so that no event overflows.
 const MAX_ZOOM_STEP: f32 = 20.0;
 
@@ -330,6 +351,37 @@ mod tests {
         let fit = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS);
         let d = (fit.pose().eye - bounds().center()).length();
         assert!((d - bounds().radius() * INTRINSICS.fit_distance()).abs() < WORLD_TOLERANCE);
+    }
+
+    #[test]
+    fn fit_shows_every_corner_and_leaves_no_more_than_the_margin() {
+        let half = Aabb { min: bounds().min, max: bounds().center() };
+        for (of, is_parallel) in [(bounds(), false), (bounds(), true), (half, false), (half, true)] {
+            let mut c = controls();
+            let turned = c.placement().0;
+            c.fit(&of, &INTRINSICS, is_parallel);
+            assert_eq!(c.placement().0, turned, "the direction stays");
+            let camera = match is_parallel {
+                true => c.parallel_camera(INTRINSICS, &bounds()),
+                false => c.camera(INTRINSICS, &bounds()),
+            };
+            let basis = camera.basis();
+            let edge = |p: Vec3| {
+                let h = basis.pixel_from_point(p);
+                ((h.x / h.z / 320.0 - 1.0).abs()).max((h.y / h.z / 200.0 - 1.0).abs())
+            };
+            let most = of.corners().into_iter().map(edge).fold(0.0, f32::max);
+            assert!((most - 1.0 / 1.05).abs() < 1e-3, "{is_parallel}: {most} of the way to the edge");
+            // Control: half as far away, corners are outside.
+            let (turn, eye) = c.placement();
+            assert!(c.place(c.center(), (turn, eye * 0.5)));
+            let h = c.camera(INTRINSICS, &bounds()).basis();
+            let out = of.corners().into_iter().any(|p| {
+                let h = h.pixel_from_point(p);
+                h.z <= 0.0 || !(0.0..640.0).contains(&(h.x / h.z)) || !(0.0..400.0).contains(&(h.y / h.z))
+            });
+            assert!(out);
+        }
     }
 
     #[test]
@@ -457,7 +509,7 @@ mod tests {
             CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS).pose();
         let mut c = controls();
         assert_ne!(c.pose(), first);
-        assert!(c.apply(&ControlInput { reset: true, ..Default::default() }, &INTRINSICS));
+        c.reset(&INTRINSICS);
         assert_eq!(c.pose(), first);
         assert!(!c.apply(&ControlInput::default(), &INTRINSICS));
     }

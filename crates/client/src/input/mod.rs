@@ -2,6 +2,7 @@
 
 pub(crate) mod bindings;
 pub mod camera_controls;
+pub(crate) mod camera_moves;
 pub(crate) mod camera_path;
 pub(crate) mod orientation;
 pub(crate) mod pointer;

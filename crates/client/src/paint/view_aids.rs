@@ -6,6 +6,7 @@ use isinglass_core::camera::{Basis, Camera};
 use isinglass_core::picture::linear_from_srgb;
 use isinglass_core::space::Aabb;
 
+use super::view_cube::{self, CubePart, ViewCube};
 use crate::input::orientation::Orientation;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,6 +36,8 @@ pub(crate) struct AidsScene<'a> {
     pub(crate) shows_center: bool,
     /// Height of axes and scale above the picture's lower edge, where that is covered, points.
     pub(crate) lift: f32,
+    /// The part of the cube under the pointer.
+    pub(crate) marked: Option<CubePart>,
 }
 
 impl AidsScene<'_> {
@@ -55,26 +58,29 @@ impl ViewAids {
         let toward = |direction: Vec3| {
             let along = |axis: usize| (view_from_world * Vec3::AXES[axis]).dot(direction);
             let nearest = (0..3).max_by(|&a, &b| along(a).abs().total_cmp(&along(b).abs())).unwrap_or(0);
-            let (positive, negative) = scene.orientation.letters[nearest];
-            match (along(nearest) >= 0.0, negative) {
-                (true, _) => positive.to_string(),
-                (false, Some(negative)) => negative.to_string(),
-                (false, None) => format!("-{positive}"),
-            }
+            scene.orientation.name(nearest, along(nearest) >= 0.0)
         };
         let (right, up, near) = (toward(Vec3::X), toward(Vec3::Y), toward(Vec3::Z));
         format!("axes: {right} to the right, {up} up, {near} towards you")
     }
 
-    /// The part of the picture that the axes take.
-    pub(crate) fn axes_rect(scene: &AidsScene<'_>) -> Rect {
-        let center = scene.corner() + vec2(AXES_MARGIN, -AXES_MARGIN);
-        Rect::from_center_size(center, Vec2::splat(2.0 * (AXIS_LENGTH + LETTER_GAP)))
+    /// The cube that shows the directions of the axes.
+    pub(crate) fn cube<'a>(&self, scene: &'a AidsScene<'a>) -> ViewCube<'a> {
+        ViewCube {
+            center: cube_center(scene.rect, scene.lift),
+            camera: scene.camera,
+            orientation: scene.orientation,
+            is_dark: self.is_dark(),
+        }
+    }
+
+    fn is_dark(&self) -> bool {
+        let [r, g, b] = self.background.map(f32::from);
+        0.299 * r + 0.587 * g + 0.114 * b < 128.0
     }
 
     pub(crate) fn pen<'a>(&self, painter: &'a Painter) -> Pen<'a> {
-        let [r, g, b] = self.background.map(f32::from);
-        let is_dark = 0.299 * r + 0.587 * g + 0.114 * b < 128.0;
+        let is_dark = self.is_dark();
         let ink = if is_dark { Color32::from_gray(225) } else { Color32::from_gray(25) };
         Pen { painter, ink, halo: if is_dark { Color32::from_gray(8) } else { Color32::from_gray(248) } }
     }
@@ -85,7 +91,7 @@ impl ViewAids {
             pen.draw_box(scene.rect, scene.camera, scene.bounds, pen.ink);
         }
         if self.shows_axes {
-            pen.draw_axes(scene);
+            self.cube(scene).paint(painter, scene.marked);
             pen.draw_scale(scene);
         }
         if scene.shows_center {
@@ -112,7 +118,7 @@ impl Pen<'_> {
         self.painter.circle(at, radius, color, Stroke::new(1.5, self.halo.gamma_multiply(0.8)));
     }
 
-    fn text(&self, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
+    pub(crate) fn text(&self, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
         let font = FontId::proportional(size);
         for shift in [vec2(-1.0, 0.0), vec2(1.0, 0.0), vec2(0.0, -1.0), vec2(0.0, 1.0)] {
             self.painter.text(at + shift, align, text, font.clone(), self.halo.gamma_multiply(0.7));
@@ -131,31 +137,6 @@ impl Pen<'_> {
             let strength = if is_front { 0.85 } else { 0.3 };
             if let Some(ends) = projected(&basis, rect, corners[a], corners[b]) {
                 self.line(ends, 1.0, color.gamma_multiply(strength));
-            }
-        }
-    }
-
-    /// Draws the axes in the corner at the bottom left.
-    fn draw_axes(&self, scene: &AidsScene<'_>) {
-        let center = scene.corner() + vec2(AXES_MARGIN, -AXES_MARGIN);
-        let view_from_world = scene.camera.pose.world_from_view.inverse();
-        let mut ends: Vec<(Vec3, char, Color32, bool)> = Vec::with_capacity(6);
-        for (i, axis) in Vec3::AXES.into_iter().enumerate() {
-            let (positive, negative) = scene.orientation.letters[i];
-            ends.push((view_from_world * axis, positive, AXIS_COLORS[i], true));
-            ends.extend(negative.map(|letter| (view_from_world * -axis, letter, AXIS_COLORS[i], false)));
-        }
-        // Far ends first.
-        ends.sort_by(|a, b| a.0.z.total_cmp(&b.0.z));
-        for (end, letter, color, is_positive) in ends {
-            let flat = vec2(end.x, -end.y);
-            let tip = center + flat * AXIS_LENGTH;
-            let color = if is_positive { color } else { color.gamma_multiply(0.55) };
-            self.line([center, tip], if is_positive { 2.0 } else { 1.0 }, color);
-            // An axis that points at the eye has its letter in the middle.
-            let out = if flat.length() > 1e-3 { flat.normalized() * LETTER_GAP } else { Vec2::ZERO };
-            if is_positive || flat.length() > 0.35 {
-                self.text(tip + out, Align2::CENTER_CENTER, &letter.to_string(), 13.0, color);
             }
         }
     }
@@ -188,6 +169,11 @@ impl Pen<'_> {
             self.line([at - arm, at + arm], 1.5, Color32::from_rgb(255, 190, 70));
         }
     }
+}
+
+/// The middle of the cube in a picture, `lift` points above its usual place.
+pub(crate) fn cube_center(rect: Rect, lift: f32) -> Pos2 {
+    rect.left_bottom() + vec2(AXES_MARGIN, -AXES_MARGIN - lift)
 }
 
 /// The twelve edges of a box, by the numbers of its corners.
@@ -225,7 +211,7 @@ pub(crate) fn projected(basis: &Basis, rect: Rect, a: Vec3, b: Vec3) -> Option<[
 }
 
 /// The longest of 1, 2, 5, 10 … of the unit that is at most `most`, and its text.
-fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
+pub(crate) fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
     if !(most > 0.0 && most.is_finite()) {
         return None;
     }
@@ -243,15 +229,12 @@ fn round_length(most: f32, unit: Option<&str>) -> Option<(f32, String)> {
 }
 
 const AXES_MARGIN: f32 = 58.0;
-const AXIS_LENGTH: f32 = 32.0;
-const LETTER_GAP: f32 = 10.0;
 /// Colours of x, y and z.
 pub(crate) const AXIS_COLORS: [Color32; 3] =
     [Color32::from_rgb(235, 95, 85), Color32::from_rgb(110, 200, 95), Color32::from_rgb(95, 150, 245)];
 const MAX_SCALE_POINTS: f32 = 150.0;
 /// Room for axes and scale at the bottom left, with the scale's longest note, points.
-pub(crate) const CORNER: Vec2 =
-    vec2(2.0 * AXES_MARGIN + 12.0 + 176.0, AXES_MARGIN + AXIS_LENGTH + LETTER_GAP + 8.0);
+pub(crate) const CORNER: Vec2 = vec2(2.0 * AXES_MARGIN + 12.0 + 176.0, AXES_MARGIN + view_cube::RADIUS + 8.0);
 
 /// The point of the picture under a point of the screen, pixels.
 pub(crate) fn pixel_at(rect: Rect, camera: &Camera, at: Pos2) -> [f32; 2] {

@@ -78,6 +78,22 @@ pub(crate) fn write_text(path: PathBuf, text: &str, replaces: bool) -> Result<Wr
     Ok(Written::At(std::path::absolute(&path).unwrap_or(path)))
 }
 
+/// Writes a new file: the first free one of `stem` and `ending`, `stem-2` and `ending` … in the folder that the viewer
+/// was started in.
+///
+/// # Errors
+/// One line with the path.
+pub(crate) fn write_numbered(text: &str, stem: &str, ending: &str) -> Result<Written, String> {
+    for number in 1..=MAX_NUMBER {
+        let number = if number == 1 { String::new() } else { format!("-{number}") };
+        match write_text(PathBuf::from(format!("{stem}{number}{ending}")), text, false) {
+            Ok(Written::Exists(_)) => {}
+            written => return written,
+        }
+    }
+    Err(format!("{stem}{ending}: there are {MAX_NUMBER} such files; name another"))
+}
+
 /// Creates a file with these bytes.
 ///
 /// # Errors
@@ -95,6 +111,9 @@ pub(crate) fn path_from_text(text: &str) -> Option<PathBuf> {
         None => (!text.is_empty()).then(|| PathBuf::from(text)),
     }
 }
+
+/// Numbered files of one name, at most.
+const MAX_NUMBER: u32 = 999;
 
 #[cfg(test)]
 mod tests {

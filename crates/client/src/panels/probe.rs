@@ -71,7 +71,7 @@ pub(crate) fn lines(point: Vec3, answer: Option<&Probed>, volume: &VolumeDescrip
 }
 
 /// The indices of the voxel that holds a point, or of the nearest one.
-fn voxel_at(point: Vec3, volume: &VolumeDescription) -> [u32; 3] {
+pub(crate) fn voxel_at(point: Vec3, volume: &VolumeDescription) -> [u32; 3] {
     let from_corner = point - volume.bounds().min;
     std::array::from_fn(|i| {
         ((from_corner[i] / volume.spacing[i]).max(0.0) as u32).min(volume.dims[i].saturating_sub(1))

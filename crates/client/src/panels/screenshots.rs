@@ -1,8 +1,10 @@
-//! Screenshots: one of the view, or a turntable of many. The server renders them in full, and they are written here.
+//! Screenshots: one of the view, or a turntable of many, as files or as a movie. The server renders them in full, and
+//! they are written here.
 //!
 //! One picture is requested at a time, the next when the one before is on the disk. A thread writes the files.
 
 mod files;
+mod marks;
 
 use std::path::PathBuf;
 
@@ -12,14 +14,20 @@ use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
 use isinglass_core::ids::ScreenshotId;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::screenshot::MAX_SCREENSHOT_PIXELS;
+use isinglass_formats::movie::{MovieForm, MovieWriter, PICTURES_PER_SECOND};
+use isinglass_formats::png;
 use isinglass_net::State;
 use time::OffsetDateTime;
+
+use self::marks::PictureMarks;
 
 use super::background::Background;
 use super::controls::whole;
 use super::style::pane_at;
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
+
+pub(crate) use self::marks::LegendSubject;
 
 #[derive(Clone, Debug)]
 pub(crate) struct Subject {
@@ -33,12 +41,20 @@ pub(crate) struct Subject {
     /// The axis of a turntable: a point and a unit vector.
     pub(crate) center: Vec3,
     pub(crate) up: Vec3,
+    /// Unit of length, if known.
+    pub(crate) unit: Option<String>,
+    pub(crate) legend: Option<LegendSubject>,
 }
 
 pub(crate) struct Screenshots {
     is_dialog_open: bool,
     size: Option<[u32; 2]>,
     num_pictures: u32,
+    /// The form of a turntable; none for a file each.
+    movie: Option<MovieForm>,
+    is_transparent: bool,
+    has_scale: bool,
+    has_legend: bool,
     /// Where files go, as the person writes it.
     pub(crate) folder: String,
     series: Option<Series>,
@@ -50,6 +66,11 @@ struct Series {
     done: u32,
     /// The file, or the folder of several.
     path: PathBuf,
+    is_transparent: bool,
+    marks: Option<PictureMarks>,
+    movie: Option<MovieForm>,
+    /// The movie between two pictures.
+    writer: Option<MovieWriter>,
     stage: PictureStage,
 }
 
@@ -57,13 +78,30 @@ struct Series {
 enum PictureStage {
     Due,
     Requested(ScreenshotId),
-    Writing(Background<PathBuf>),
+    Writing(Background<Stored>),
+}
+
+/// What has become of a picture: its file, or the movie that it is in.
+enum Stored {
+    File(PathBuf),
+    InMovie(MovieWriter),
+    MovieFile(PathBuf),
 }
 
 impl Default for Screenshots {
     fn default() -> Self {
         let folder = files::default_folder().display().to_string();
-        Self { is_dialog_open: false, size: None, num_pictures: 1, folder, series: None }
+        Self {
+            is_dialog_open: false,
+            size: None,
+            num_pictures: 1,
+            movie: None,
+            is_transparent: false,
+            has_scale: false,
+            has_legend: false,
+            folder,
+            series: None,
+        }
     }
 }
 
@@ -91,16 +129,31 @@ impl Screenshots {
     }
 
     /// Requests one picture as large as the window's, unless others are in progress.
-    pub(crate) fn take(&mut self, subject: Subject) {
+    pub(crate) fn take(&mut self, ctx: &Context, subject: Subject) {
         if self.series.is_none() {
-            self.begin(subject, 1);
+            self.begin(ctx, subject, 1);
         }
     }
 
-    fn begin(&mut self, subject: Subject, total: u32) {
+    fn begin(&mut self, ctx: &Context, subject: Subject, total: u32) {
         let folder = files::folder_from_text(&self.folder);
-        let path = folder.join(files::file_name(&subject.name, OffsetDateTime::now_utc(), total > 1));
-        self.series = Some(Series { subject, total, done: 0, path, stage: PictureStage::Due });
+        let movie = self.movie.filter(|_| total > 1);
+        let mut path = folder.join(files::file_name(&subject.name, OffsetDateTime::now_utc(), total > 1));
+        if let Some(form) = movie {
+            path.as_mut_os_string().push(format!(".{}", form.extension()));
+        }
+        self.series = Some(Series {
+            total,
+            done: 0,
+            path,
+            // Movies have no transparency.
+            is_transparent: self.is_transparent && movie.is_none(),
+            marks: PictureMarks::of(ctx, &subject, self.has_scale, self.has_legend),
+            movie,
+            writer: None,
+            subject,
+            stage: PictureStage::Due,
+        });
     }
 
     /// Continues what is in progress. Returns news for the person. Never waits.
@@ -109,6 +162,7 @@ impl Screenshots {
         match &mut series.stage {
             PictureStage::Due => {
                 let Subject { intrinsics, background, .. } = series.subject;
+                let background = (!series.is_transparent).then_some(background);
                 let id = source.talk().screenshot.request(series.pose(), intrinsics, background, None);
                 series.stage = PictureStage::Requested(id);
                 None
@@ -117,10 +171,9 @@ impl Screenshots {
                 let shot = source.talk().quietly().screenshot.take_outcome().filter(|shot| shot.id == *id)?;
                 match &shot.png {
                     Ok(_) => {
-                        let path = series.file();
+                        let store = series.storing();
                         series.stage = PictureStage::Writing(Background::run(&waker_of(ctx), move || {
-                            let png = shot.png.as_deref().unwrap_or_default();
-                            files::write(&path, png).map_err(|e| format!("{}: {e}", path.display()))
+                            store(shot.png.as_deref().unwrap_or_default())
                         }));
                         None
                     }
@@ -132,12 +185,20 @@ impl Screenshots {
                 }
             }
             PictureStage::Writing(writing) => match writing.take()? {
-                Ok(file) => {
+                Ok(stored) => {
+                    let file = match stored {
+                        Stored::File(file) | Stored::MovieFile(file) => file,
+                        Stored::InMovie(movie) => {
+                            series.writer = Some(movie);
+                            series.path.clone()
+                        }
+                    };
                     series.done += 1;
                     series.stage = PictureStage::Due;
                     ctx.request_repaint();
                     let is_all = series.done == series.total;
                     let told = match series.total {
+                        _ if series.movie.is_some() => format!("Saved {}", file.display()),
                         1 => format!("Saved {}", file.display()),
                         total => format!("Saved {total} pictures in {}", series.path.display()),
                     };
@@ -227,6 +288,33 @@ impl Screenshots {
                     "more than one: a turntable, once around the vertical through the centre of rotation";
                 ui.add(number).labelled_by(label.id).on_hover_text(hint);
                 ui.end_row();
+                if self.num_pictures > 1 {
+                    ui.label("turntable as");
+                    ui.horizontal(|ui| {
+                        for (form, name, hint) in FORMS {
+                            let choice = ui.selectable_label(self.movie == form, name);
+                            if choice.on_hover_text(hint).clicked() {
+                                self.movie = form;
+                            }
+                        }
+                    });
+                    ui.end_row();
+                    ui.label("");
+                    let seconds = self.num_pictures as f32 / PICTURES_PER_SECOND as f32;
+                    ui.label(format!("{seconds:.1} s at {PICTURES_PER_SECOND} pictures a second"));
+                    ui.end_row();
+                }
+                ui.label("drawn in");
+                ui.horizontal(|ui| {
+                    ui.checkbox(&mut self.has_scale, "scale bar");
+                    ui.checkbox(&mut self.has_legend, "colour legend");
+                });
+                ui.end_row();
+                let is_movie = self.num_pictures > 1 && self.movie.is_some();
+                ui.label("background");
+                let transparent = egui::Checkbox::new(&mut self.is_transparent, "transparent");
+                ui.add_enabled(!is_movie, transparent).on_disabled_hover_text("a movie has a background");
+                ui.end_row();
                 let label = ui.label("folder");
                 ui.add(egui::TextEdit::singleline(&mut self.folder).desired_width(260.0))
                     .labelled_by(label.id);
@@ -249,7 +337,7 @@ impl Screenshots {
             if let Some([width, height]) = self.size {
                 (subject.intrinsics.width, subject.intrinsics.height) = (width, height);
             }
-            self.begin(subject, self.num_pictures);
+            self.begin(ctx, subject, self.num_pictures);
         }
     }
 }
@@ -259,6 +347,7 @@ impl Series {
         // A picture that is being written will be there.
         let done = self.done + u32::from(matches!(self.stage, PictureStage::Writing(_)));
         match (done, self.total) {
+            _ if self.movie.is_some() => "No movie was made".to_owned(),
             (0, _) => "No picture was made".to_owned(),
             (_, 1) => format!("Saved {}", self.path.display()),
             (_, total) => format!("Stopped after {done} of {total} pictures, in {}", self.path.display()),
@@ -281,8 +370,41 @@ impl Series {
         if intrinsics.projection.is_orthographic() { turned.before(&bounds) } else { turned }
     }
 
+    /// What stores the next picture, with its marks, in a file or in the movie.
+    fn storing(&mut self) -> impl FnOnce(&[u8]) -> Result<Stored, String> + Send + 'static {
+        let (path, marks, movie) = (self.file(), self.marks.clone(), self.movie);
+        let (writer, total, is_last) = (self.writer.take(), self.total, self.done + 1 == self.total);
+        move |png: &[u8]| {
+            let drawn = marks.map(|marks| marks.draw(png, MAX_SCREENSHOT_PIXELS as u64)).transpose()?;
+            let png = drawn.as_deref().unwrap_or(png);
+            let Some(form) = movie else {
+                let written = files::write(&path, png).map_err(|e| format!("{}: {e}", path.display()));
+                return written.map(Stored::File);
+            };
+            let picture = png::decode(png, MAX_SCREENSHOT_PIXELS as u64).map_err(|e| e.to_string())?;
+            let mut writer = match writer {
+                Some(writer) => writer,
+                None => {
+                    if let Some(folder) = path.parent() {
+                        let made = std::fs::create_dir_all(folder);
+                        made.map_err(|e| format!("{}: {e}", folder.display()))?;
+                    }
+                    let size = [picture.width, picture.height];
+                    MovieWriter::create(&path, form, size, total).map_err(|e| e.to_string())?
+                }
+            };
+            writer.add(&picture).map_err(|e| e.to_string())?;
+            if is_last {
+                writer.finish(false).map_err(|e| e.to_string())?;
+                return Ok(Stored::MovieFile(path));
+            }
+            Ok(Stored::InMovie(writer))
+        }
+    }
+
     fn file(&self) -> PathBuf {
         match self.total {
+            _ if self.movie.is_some() => self.path.clone(),
             1 => self.path.clone(),
             _ => self.path.join(format!("{:04}.png", self.done)),
         }
@@ -313,5 +435,10 @@ fn show_progress(ctx: &Context, series: &Series, is_connected: bool, room: egui:
     pane_at(ctx, "pictures", room, place, |ui| ui.horizontal(row).inner).inner
 }
 
+const FORMS: [(Option<MovieForm>, &str, &str); 3] = [
+    (None, "files", "numbered PNG files in a folder"),
+    (Some(MovieForm::Gif), "GIF", "a movie that plays everywhere, with 256 colours a picture"),
+    (Some(MovieForm::Apng), "APNG", "a movie with all colours, for browsers"),
+];
 /// A minute at 60 pictures a second.
 const MAX_PICTURES: u32 = 3600;

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use egui::{RichText, Ui};
 use isinglass_formats::{MAX_STATE_BYTES, ReadState, SavedState, SavedVolume, is_state, read_state};
 
-use super::background::{Written, write_text};
+use super::background::write_numbered;
 use super::file_field::{FileField, FileOutcome};
 use super::known_files::KnownFile;
+use super::text::file_stem;
 use crate::view::Waker;
 
 pub(crate) enum FileContent {
@@ -53,9 +54,8 @@ impl StateFiles {
     /// Writes a state to the file of the path field. Without a path it becomes the first free `NAME.state.toml`,
     /// `NAME-2.state.toml` … of the folder that the viewer was started in.
     pub(crate) fn save(&mut self, text: String, name: &str, wake: &Waker) {
-        let is_plain = |c: char| c.is_alphanumeric() || "-_.".contains(c);
-        let stem: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).take(80).collect();
-        self.0.write(wake, text, move |text| write_numbered(text, &stem));
+        let stem = file_stem(name);
+        self.0.write(wake, text, move |text| write_numbered(text, &stem, ".state.toml"));
     }
 
     /// What has become of the file, once. Never waits. The rows say it, too.
@@ -117,17 +117,3 @@ fn begin_of(path: &Path) -> std::io::Result<Vec<u8>> {
     std::fs::File::open(path)?.take(MAX_STATE_BYTES + 1).read_to_end(&mut begin)?;
     Ok(begin)
 }
-
-fn write_numbered(text: &str, stem: &str) -> Result<Written, String> {
-    for number in 1..=MAX_NUMBER {
-        let number = if number == 1 { String::new() } else { format!("-{number}") };
-        match write_text(PathBuf::from(format!("{stem}{number}.state.toml")), text, false) {
-            Ok(Written::Exists(_)) => {}
-            written => return written,
-        }
-    }
-    Err(format!("{stem}.state.toml: there are {MAX_NUMBER} such files; name another"))
-}
-
-/// Numbered files of one name, at most.
-const MAX_NUMBER: u32 = 999;

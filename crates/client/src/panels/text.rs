@@ -98,6 +98,12 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
     }
 }
 
+/// A name as the beginning of a file's name.
+pub(crate) fn file_stem(name: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "-_.".contains(c);
+    name.chars().map(|c| if is_plain(c) { c } else { '_' }).take(80).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

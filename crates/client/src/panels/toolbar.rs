@@ -1,12 +1,18 @@
 //! The bar at the top: a button or menu for what is done most. Each stands for an action that a key does too.
 
+mod views;
+
 use egui::{Role, Ui};
 use isinglass_core::mode::Mode;
+use isinglass_formats::UpAxis;
 use lucide_icons::Icon;
 
 use super::style::{ICON_SIZE, icon, named};
 use super::text::mode_name;
-use crate::input::bindings::{Action, Bindings, Side};
+use crate::input::bindings::{Action, Bindings};
+use crate::input::orientation::Orientation;
+
+pub(crate) use views::NamedViewWish;
 
 /// What the bar shows.
 pub(crate) struct Toolbar<'a> {
@@ -16,18 +22,26 @@ pub(crate) struct Toolbar<'a> {
     pub(crate) is_orthographic: bool,
     pub(crate) has_clip_handles: bool,
     pub(crate) has_probe: bool,
+    pub(crate) is_measuring: bool,
     pub(crate) shows_axes: bool,
     pub(crate) shows_box: bool,
+    pub(crate) shows_slices: bool,
     pub(crate) is_look_open: bool,
     /// Whether this window can open other volumes and servers.
     pub(crate) opens_volumes: bool,
+    pub(crate) axes: Orientation,
+    pub(crate) up: UpAxis,
+    /// Names of remembered views.
+    pub(crate) named_views: Vec<&'a str>,
 }
 
 /// What the person chose.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ToolbarWish {
     Act(Action),
     Show(Mode),
+    TurnUp(UpAxis),
+    View(NamedViewWish),
 }
 
 impl Toolbar<'_> {
@@ -43,12 +57,15 @@ impl Toolbar<'_> {
             self.button(ui, Icon::Undo2, "undo", Action::Undo, &mut wish);
             self.button(ui, Icon::Redo2, "redo", Action::Redo, &mut wish);
             self.button(ui, Icon::House, "first view", Action::FirstView, &mut wish);
+            self.button(ui, Icon::Focus, "fit the volume", Action::Fit, &mut wish);
             self.views(ui, has_words, &mut wish);
             ui.separator();
             self.modes(ui, has_words, &mut wish);
             for (symbol, name, action, is_on) in [
+                (Icon::Grid2x2, "slices", Action::Slices, self.shows_slices),
                 (Icon::Crop, "clip", Action::Clip, self.has_clip_handles),
                 (Icon::Pipette, "probe values", Action::Probe, self.has_probe),
+                (Icon::Ruler, "measure", Action::Measure, self.is_measuring),
                 (Icon::Box, "box", Action::Box, self.shows_box),
                 (Icon::Axis3d, "axes and scale", Action::Axes, self.shows_axes),
             ] {
@@ -73,14 +90,21 @@ impl Toolbar<'_> {
     pub(crate) fn show_menu(&self, ui: &mut Ui) -> Option<ToolbarWish> {
         let mut wish = None;
         let projection = if self.is_orthographic { "Perspective" } else { "Parallel rays" };
-        for (name, action) in [("First view", Action::FirstView), (projection, Action::Projection)] {
+        for (name, action) in [
+            ("First view", Action::FirstView),
+            ("Fit the volume", Action::Fit),
+            ("The view before", Action::PreviousView),
+            (projection, Action::Projection),
+        ] {
             self.item(ui, name, action, &mut wish);
         }
         ui.menu_button("View from", |ui| self.sides(ui, &mut wish));
         ui.separator();
         for (name, action) in [
+            ("Slices", Action::Slices),
             ("Clip", Action::Clip),
             ("Probe values", Action::Probe),
+            ("Measure", Action::Measure),
             ("Save a picture", Action::Picture),
             ("Copy a link to the view", Action::CopyLink),
             ("Full screen", Action::FullScreen),
@@ -113,29 +137,6 @@ impl Toolbar<'_> {
         named(&response, Role::Button, "Open");
         if response.on_hover_text(self.bindings.with_key(hint, action)).clicked() {
             *wish = Some(ToolbarWish::Act(action));
-        }
-    }
-
-    fn views(&self, ui: &mut Ui, has_words: bool, wish: &mut Option<ToolbarWish>) {
-        menu(ui, Icon::Rotate3d, "Views", has_words, |ui| {
-            self.sides(ui, wish);
-            ui.separator();
-            let projection = if self.is_orthographic { "Perspective" } else { "Parallel rays" };
-            self.item(ui, projection, Action::Projection, wish);
-            self.item(ui, "Next kind of stereo", Action::Stereo, wish);
-        });
-    }
-
-    fn sides(&self, ui: &mut Ui, wish: &mut Option<ToolbarWish>) {
-        for (name, side, opposite) in [
-            ("Front", Side::Front, false),
-            ("Back", Side::Front, true),
-            ("Right", Side::Right, false),
-            ("Left", Side::Right, true),
-            ("Top", Side::Top, false),
-            ("Bottom", Side::Top, true),
-        ] {
-            self.item(ui, name, Action::StandardView(side, opposite), wish);
         }
     }
 

@@ -9,6 +9,7 @@ pub(crate) mod headless;
 pub(crate) mod kept;
 pub(crate) mod local_servers;
 pub(crate) mod pick;
+pub(crate) mod planes;
 pub(crate) mod quality_control;
 pub(crate) mod refresh_meter;
 pub(crate) mod viewing;

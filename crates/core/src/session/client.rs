@@ -4,8 +4,10 @@ use super::link::LinkClient;
 use super::look::LookClient;
 use super::pose::PoseClient;
 use super::probe::ProbeClient;
+use super::profile::ProfileClient;
 use super::screenshot::ScreenshotClient;
 use super::selection::SelectionClient;
+use super::slices::SlicesClient;
 use crate::ids::LookVersion;
 use crate::wire::{ClientMessage, Refusal, ServerMessage, Welcome};
 
@@ -24,8 +26,12 @@ pub struct ClientSession {
     pub selection: SelectionClient,
     /// The value at a point.
     pub probe: ProbeClient,
+    /// The values along a line.
+    pub profile: ProfileClient,
     /// A picture to keep.
     pub screenshot: ScreenshotClient,
+    /// Slices through the volume.
+    pub slices: SlicesClient,
     /// The connection.
     pub link: LinkClient,
     is_up: bool,
@@ -44,11 +50,14 @@ impl ClientSession {
     /// A connection is up.
     pub fn handle_welcome(&mut self, now_micros: u64, welcome: Welcome) {
         let (version, look) = (welcome.look_version, welcome.look.clone());
+        let volume = welcome.volume.clone();
         let is_other_file = self.link.handle_welcome(welcome);
         self.look.handle_welcome(now_micros, version, look, is_other_file);
         self.selection.handle_welcome(self.link.connection() == 1);
         self.probe.handle_welcome();
+        self.profile.handle_welcome();
         self.screenshot.handle_welcome();
+        self.slices.handle_welcome(&volume, version);
         self.pose.handle_welcome();
         self.is_up = true;
     }
@@ -72,7 +81,9 @@ impl ClientSession {
         self.look.handle_message(now_micros, &message);
         self.selection.handle_message(&message);
         self.probe.handle_message(&message);
+        self.profile.handle_message(&message);
         self.screenshot.handle_message(&message);
+        self.slices.handle_message(&message);
         Ok(())
     }
 
@@ -93,14 +104,18 @@ impl ClientSession {
         // The server renders a screenshot with its current look, so a pending look goes first.
         let is_ready = !self.look.is_waiting();
         let shot = if is_ready { self.screenshot.poll_message(now_micros) } else { None };
-        shot.or_else(|| self.probe.poll_message(now_micros)).or_else(|| self.link.poll_message(now_micros))
+        shot.or_else(|| self.slices.poll_message(now_micros))
+            .or_else(|| self.probe.poll_message(now_micros))
+            .or_else(|| self.profile.poll_message(now_micros))
+            .or_else(|| self.link.poll_message(now_micros))
     }
 
     /// When to poll messages again if nothing happens, µs.
     pub fn due(&self) -> Option<u64> {
         let screenshot = self.screenshot.due().filter(|_| !self.look.is_waiting());
-        let dues = [self.look.due(), screenshot, self.probe.due(), self.link.due()];
-        dues.into_iter().flatten().filter(|_| self.is_up).min()
+        let of_places = [self.slices.due(), self.probe.due(), self.profile.due()];
+        let dues = [self.look.due(), screenshot, self.link.due()].into_iter().chain(of_places);
+        dues.flatten().filter(|_| self.is_up).min()
     }
 }
 

@@ -9,7 +9,8 @@
 //! - [`pose`]: the camera of the frames; [`look`]: their look; [`selection`]: the part of the file that they show.
 //! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they begin; [`chunks`]: what
 //!   is sent, given up and decoded.
-//! - [`probe`], [`screenshot`]: the value at a point, and a picture to keep.
+//! - [`probe`], [`screenshot`], [`slices`]: the value at a point, a picture to keep, and slices through the volume.
+//! - [`probe`], [`profile`]: the value at a point, the values along a line; [`screenshot`]: a picture to keep.
 //! - [`ledger`]: the life of every frame, on either side.
 //! - [`pace`]: the newest of many values, at a bounded rate.
 //! - `pair`: both sides joined by a simulated link, for tests.
@@ -27,12 +28,14 @@ pub mod pace;
 pub(crate) mod pair;
 pub mod pose;
 pub mod probe;
+pub mod profile;
 pub mod rate;
 mod round_trip;
 pub mod schedule;
 pub mod screenshot;
 pub mod selection;
 pub mod server;
+pub mod slices;
 
 pub use client::ClientSession;
 pub use server::ServerSession;

@@ -9,12 +9,14 @@ use super::chunks::{ChunkPlace, ChunksClient};
 use super::client::ClientSession;
 use super::pose::ReceiverReport;
 use super::server::ServerSession;
+use crate::cancel::ALWAYS;
 use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId, ScreenshotId};
 use crate::look::Look;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use crate::volume::Volume;
 use crate::volume::procedural::Builtin;
+use crate::volume::{Slice, Volume};
 use crate::wire::control::{decode, encode};
+use crate::wire::slice::{decode_slice, encode_slice, slice_id};
 use crate::wire::{ClientMessage, Part, PoseRequest, ServerMessage, Token, VolumeDescription, Welcome};
 
 /// A simulated pair. The server answers probes, confirms looks, and makes a frame of one chunk for each new pose and
@@ -35,6 +37,8 @@ pub(crate) struct Pair {
     /// Number of probe answers and load messages at the client.
     pub(crate) num_answered: usize,
     pub(crate) num_loads_heard: usize,
+    /// Number of slices that the server has sent.
+    pub(crate) num_slices: usize,
     /// Requested parts of the file.
     pub(crate) orders: Vec<Option<Part>>,
     /// Requested screenshots, and the look in force.
@@ -63,6 +67,7 @@ enum Down {
     Welcome,
     Message(Vec<u8>),
     Chunk(ChunkPlace, LookVersion),
+    Slice(Vec<u8>),
 }
 
 impl Simulated {
@@ -118,6 +123,7 @@ impl Pair {
             num_datagrams_lost: 0,
             num_answered: 0,
             num_loads_heard: 0,
+            num_slices: 0,
             orders: vec![],
             shots: vec![],
             shown: vec![],
@@ -172,6 +178,10 @@ impl Pair {
                     self.num_loads_heard += usize::from(matches!(message, ServerMessage::Load(_)));
                     self.client.handle_message(now, message).unwrap();
                 }
+                Down::Slice(bytes) => {
+                    let slice = decode_slice(&bytes).unwrap();
+                    self.client.slices.handle_slice(slice_id(&bytes).unwrap(), slice);
+                }
                 Down::Chunk(place, version) => {
                     self.chunks.handle_chunk(now, now, place, vec![0]).unwrap();
                     while let Some(job) = self.chunks.poll_decode(now) {
@@ -197,9 +207,19 @@ impl Pair {
             server.look.begin(self.now, look, true);
         }
         server.probe.answer(&self.volume);
+        server.profile.answer(&self.volume);
         self.orders.extend(server.selection.poll_order());
         if let Some(Some(shot)) = server.screenshot.poll_request() {
             self.shots.push((shot.id, server.look.look().transfer.name.clone()));
+        }
+        // One slice takes 20 ms.
+        if self.now.is_multiple_of(20_000)
+            && let Some(next) = server.slices.poll_next()
+        {
+            let slice = Slice::of(&self.volume, &next.spec, ALWAYS).unwrap();
+            self.num_slices += 1;
+            let at = self.link.arrival(self.now);
+            self.link.down.push((at, Down::Slice(encode_slice(next.id, &slice).unwrap())));
         }
         self.poses.extend(server.pose.poll_new());
         let Some(newest) = server.pose.newest() else { return };

@@ -46,17 +46,18 @@ impl Default for ScreenshotClient {
 }
 
 impl ScreenshotClient {
-    /// Requests a picture with this look, or with the viewer's own. A view that cannot be rendered fails at once.
+    /// Requests a picture with this look, or with the viewer's own; transparent without a background (sRGB). A view that cannot be rendered fails at once.
     pub fn request(
         &mut self,
         pose: Pose,
         intrinsics: Intrinsics,
-        background: [u8; 3],
+        background: impl Into<Option<[u8; 3]>>,
         look: Option<Look>,
     ) -> ScreenshotId {
         self.newest = self.newest.next();
         let view = PoseRequest::of_view(pose, intrinsics).encode().to_vec();
-        let request = ScreenshotRequest { id: self.newest, view, background, look: look.map(Box::new) };
+        let (background, look) = (background.into(), look.map(Box::new));
+        let request = ScreenshotRequest { id: self.newest, view, background, look };
         let of_look = request.look.as_deref().and_then(|look| look.validate().err()).map(Into::into);
         let problem = request.view().err().or(of_look);
         self.wanted = Some(request.clone());

@@ -6,8 +6,10 @@ use super::link::LinkServer;
 use super::look::LookServer;
 use super::pose::PoseServer;
 use super::probe::ProbeServer;
+use super::profile::ProfileServer;
 use super::screenshot::ScreenshotServer;
 use super::selection::SelectionServer;
+use super::slices::SlicesServer;
 use crate::ids::LookVersion;
 use crate::look::Look;
 use crate::wire::control::{self, ControlError, one_line};
@@ -29,8 +31,12 @@ pub struct ServerSession {
     pub selection: SelectionServer,
     /// The value at a point.
     pub probe: ProbeServer,
+    /// The values along a line.
+    pub profile: ProfileServer,
     /// A picture to keep.
     pub screenshot: ScreenshotServer,
+    /// Slices through the volume.
+    pub slices: SlicesServer,
     /// The connection.
     pub link: LinkServer,
 }
@@ -55,7 +61,9 @@ impl ServerSession {
             look: LookServer::new(version, look),
             selection: SelectionServer::new(viewer),
             probe: ProbeServer::default(),
+            profile: ProfileServer::default(),
             screenshot: ScreenshotServer::default(),
+            slices: SlicesServer::new(version),
             link: LinkServer::new(now_micros),
         }
     }
@@ -89,7 +97,9 @@ impl ServerSession {
         self.look.handle_message(&message);
         self.selection.handle_message(&message);
         self.probe.handle_message(&message);
+        self.profile.handle_message(&message);
         self.screenshot.handle_message(&message);
+        self.slices.handle_message(&message);
         Ok(Heard::Taken)
     }
 
@@ -101,6 +111,7 @@ impl ServerSession {
             .or_else(|| self.link.poll_message())
             .or_else(|| self.screenshot.poll_message())
             .or_else(|| self.probe.poll_message())
+            .or_else(|| self.profile.poll_message())
     }
 
     /// When to poll messages again if nothing happens, µs.

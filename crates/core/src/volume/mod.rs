@@ -1,4 +1,5 @@
-//! Scalar volumes: the voxel grid, min/max bricks, lighting and shade, closed-form fields and built-in volumes.
+//! Scalar volumes: the voxel grid, min/max bricks, lighting and shade, slices, closed-form fields
+//! and built-in volumes.
 
 mod bricks;
 mod classification;
@@ -11,6 +12,7 @@ mod lighting;
 mod lit;
 pub mod procedural;
 mod shade;
+mod slice;
 
 pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
 pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
@@ -21,3 +23,4 @@ pub use lighting::{
     Lighting, LightingError, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES,
 };
 pub use lit::{LIT_MAX, Lit, Shading};
+pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};

@@ -10,8 +10,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, ScreenshotRequest,
-    Token,
+    Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, Profile,
+    ProfileRequest, ScreenshotRequest, Token, WantedSlices,
 };
 use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
@@ -49,6 +49,10 @@ pub enum ClientMessage {
     TakeScreenshot(ScreenshotRequest),
     /// The requested picture is no longer wanted.
     CancelScreenshot,
+    /// All slices that are wanted now.
+    WantSlices(WantedSlices),
+    /// Asks for the values along a line.
+    Profile(ProfileRequest),
 }
 
 /// A message of the server. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
@@ -87,6 +91,8 @@ pub enum ServerMessage {
         /// One line for the user.
         why: String,
     },
+    /// The values along a line.
+    Profile(Profile),
 }
 
 /// Another volume replaces the one that was shown.
@@ -254,6 +260,8 @@ impl Message for ClientMessage {
             Self::Select(part) => part.validate(),
             Self::Stats(_) | Self::Bye | Self::CancelSelection | Self::CancelScreenshot => Ok(()),
             Self::Probe(probe) => probe.validate(),
+            Self::WantSlices(list) => list.validate(),
+            Self::Profile(line) => line.validate(),
             Self::TakeScreenshot(shot) => {
                 shot.view()?;
                 Ok(shot.look.as_deref().map_or(Ok(()), Look::validate)?)
@@ -284,6 +292,7 @@ impl Message for ServerMessage {
             Self::Load(status) => status.validate(),
             Self::ScreenshotFailed { why, .. } => text("reason", why, MAX_NOTICE_BYTES),
             Self::Probed(probed) => probed.validate(),
+            Self::Profile(profile) => profile.validate(),
             Self::Refused(_) | Self::Stats(_) => Ok(()),
         }
     }

@@ -7,12 +7,15 @@
 //! | [`PoseRequest`] | client to server | datagram, in `wire/pose.rs` |
 //! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
 //! | picture to keep | server to client | one unidirectional stream each; see [`screenshot`] |
+//! | slice through the volume | server to client | one unidirectional stream each; see [`slice`] |
 
 pub mod control;
 mod pose;
 mod probe;
+mod profile;
 pub mod screenshot;
 mod selection;
+pub mod slice;
 mod token;
 #[cfg(test)]
 mod vectors;
@@ -23,13 +26,15 @@ pub use control::{
 };
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
+pub use profile::{MAX_PROFILE_POINTS, Profile, ProfileRequest};
 pub use screenshot::ScreenshotRequest;
 pub use selection::{Choices, LoadState, LoadStatus, Part};
+pub use slice::{SliceRequest, WantedSlices};
 pub use token::{Token, TokenError};
 
 /// Version of the protocol on a connection.
-pub const PROTOCOL_VERSION: u32 = 12;
+pub const PROTOCOL_VERSION: u32 = 13;
 /// Protocol name in the TLS handshake: peers of another version get no further.
-pub const ALPN: &[u8] = b"isinglass/12";
+pub const ALPN: &[u8] = b"isinglass/13";
 /// Length of the longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

@@ -20,8 +20,8 @@ pub struct ScreenshotRequest {
     pub id: ScreenshotId,
     /// The view: the bytes of a pose datagram, of which only pose, size and field of view matter.
     pub view: Vec<u8>,
-    /// Background behind the volume, sRGB.
-    pub background: [u8; 3],
+    /// Background behind the volume, sRGB; `None` for a transparent picture.
+    pub background: Option<[u8; 3]>,
     /// The look, if it is not the viewer's own. Its lighting does not count: the picture has no shadows and no ambient
     /// occlusion.
     pub look: Option<Box<Look>>,
@@ -62,8 +62,8 @@ pub const SCREENSHOT_MAGIC: [u8; 4] = *b"IGLS";
 pub const SCREENSHOT_HEADER_BYTES: usize = 8;
 /// Pixels of the largest picture: 7680×4320 and a little more.
 pub const MAX_SCREENSHOT_PIXELS: usize = 1 << 25;
-/// Bytes of the longest stream: three per pixel, and the overhead of PNG.
-pub const MAX_SCREENSHOT_BYTES: usize = 3 * MAX_SCREENSHOT_PIXELS + (1 << 20);
+/// Bytes of the longest stream: four per pixel, and the overhead of PNG.
+pub const MAX_SCREENSHOT_BYTES: usize = 4 * MAX_SCREENSHOT_PIXELS + (1 << 20);
 
 #[cfg(test)]
 mod tests {
@@ -78,7 +78,7 @@ mod tests {
         ScreenshotRequest {
             id: ScreenshotId(7),
             view: view.encode().to_vec(),
-            background: [1, 2, 3],
+            background: Some([1, 2, 3]),
             look: None,
         }
     }

@@ -8,12 +8,12 @@ use super::control::{decode, encode};
 use super::*;
 use crate::camera::{Intrinsics, Pose};
 use crate::clip::{Clip, Plane};
-use crate::ids::{FrameId, LoadId, LookVersion, PoseId, ProbeId, ScreenshotId};
+use crate::ids::{FrameId, LoadId, LookVersion, PoseId, ProbeId, ScreenshotId, SliceId};
 use crate::look::Look;
 use crate::mode::{Iso, Isos, Mode};
 use crate::space::Aabb;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use crate::volume::{Lighting, Placement};
+use crate::volume::{Lighting, Placement, SlabMode, SlicePlane, SliceSpec};
 
 fn transfer() -> TransferFunction {
     let point = |x, opacity| ControlPoint { x, color: [1.0, 0.5, 0.25], opacity };
@@ -91,6 +91,25 @@ fn part() -> Part {
     }
 }
 
+fn slices() -> Vec<SliceRequest> {
+    let oblique = SlicePlane::Oblique {
+        origin: [1.0, 2.0, 3.0],
+        column: [0.5, 0.0, 0.0],
+        row: [0.0, 0.25, 0.0],
+        size: [300, 200],
+    };
+    let slice = |id, plane, thickness, mode| SliceRequest {
+        id: SliceId(id),
+        spec: SliceSpec { plane, thickness, mode },
+        is_ahead: id > 1,
+    };
+    vec![
+        slice(1, SlicePlane::Axis { axis: 2, index: 300 }, 0.0, SlabMode::Mean),
+        slice(2, oblique, 2.5, SlabMode::Max),
+        slice(3, oblique, 2.5, SlabMode::Min),
+    ]
+}
+
 fn client_messages() -> Vec<ClientMessage> {
     let looks = [
         look(),
@@ -123,10 +142,16 @@ fn client_messages() -> Vec<ClientMessage> {
         ClientMessage::TakeScreenshot(ScreenshotRequest {
             id: ScreenshotId(8),
             view: view().encode().to_vec(),
-            background: [1, 2, 3],
+            background: Some([1, 2, 3]),
             look: Some(Box::new(look())),
         }),
         ClientMessage::CancelScreenshot,
+        ClientMessage::WantSlices(WantedSlices { volume: LookVersion(3), slices: slices() }),
+        ClientMessage::Profile(ProfileRequest {
+            id: ProbeId(9),
+            ends: [[1.0, -2.0, 0.5], [0.0, 0.25, 4.0]],
+            num_points: 300,
+        }),
     ]);
     messages
 }
@@ -189,6 +214,7 @@ fn server_messages() -> Vec<ServerMessage> {
             voxel: Some(ProbedVoxel { index: [1, 2, 3], value: -7.5 }),
         }),
         ServerMessage::ScreenshotFailed { id: ScreenshotId(6), why: "w".into() },
+        ServerMessage::Profile(Profile { id: ProbeId(9), values: vec![Some(1.5), None, Some(-2.0)] }),
     ]
 }
 
@@ -204,6 +230,8 @@ fn is_of(message: &ClientMessage) -> usize {
         ClientMessage::Probe(_) => 6,
         ClientMessage::TakeScreenshot(_) => 7,
         ClientMessage::CancelScreenshot => 8,
+        ClientMessage::WantSlices(_) => 9,
+        ClientMessage::Profile(_) => 10,
     }
 }
 
@@ -220,6 +248,7 @@ fn is_of_server(message: &ServerMessage) -> usize {
         ServerMessage::Load(_) => 7,
         ServerMessage::Probed(_) => 8,
         ServerMessage::ScreenshotFailed { .. } => 9,
+        ServerMessage::Profile(_) => 10,
     }
 }
 
@@ -234,7 +263,7 @@ fn every_message_has_its_bytes() {
         |all: Vec<usize>| all.into_iter().collect::<std::collections::BTreeSet<_>>().into_iter().collect();
     let found: [Vec<usize>; 2] =
         [kinds(client.iter().map(is_of).collect()), kinds(server.iter().map(is_of_server).collect())];
-    assert_eq!(found, [(0..9).collect::<Vec<_>>(), (0..10).collect()], "one of each");
+    assert_eq!(found, [(0..11).collect::<Vec<_>>(), (0..11).collect()], "one of each");
     let mut lines: Vec<String> = client.iter().map(|m| hex(&encode(m).unwrap()[4..])).collect();
     lines.extend(server.iter().map(|m| hex(&encode(m).unwrap()[4..])));
     let stored: Vec<&str> = include_str!("vectors.hex").lines().collect();

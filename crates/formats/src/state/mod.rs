@@ -2,6 +2,8 @@
 //!
 //! ```toml
 //! isinglass_state = 1                  # what the file is; the number of its form
+//! views = []                           # views with a name
+//! measures = []                        # what was measured: a kind, and points in world space
 //!
 //! [volume]                             # which volume, to find it again and to tell another one
 //! name = "head.nrrd"
@@ -24,6 +26,8 @@
 //! same volume gives the same picture. Unknown keys, such as those of a newer program, are ignored and reported.
 
 mod link;
+mod marks;
+mod slices;
 mod text;
 
 use std::fmt;
@@ -44,6 +48,10 @@ use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
 
 pub use link::{MAX_LINK_BYTES, state_from_link, state_to_link};
+pub use marks::{
+    MAX_MEASURE_POINTS, MAX_MEASURES, MAX_VIEWS, MeasureKind, NamedView, SavedMeasure, UpAxis, is_view_name,
+};
+pub use slices::{SavedPlane, SavedSlices};
 
 /// The camera, look and view of a volume. A missing part stays unchanged.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -56,6 +64,10 @@ pub struct SavedState {
     pub view: SavedView,
     /// How frames are made.
     pub look: Option<Look>,
+    /// Views with a name.
+    pub views: Option<Vec<NamedView>>,
+    /// What was measured.
+    pub measures: Option<Vec<SavedMeasure>>,
 }
 
 /// The description of a volume in a state.
@@ -290,6 +302,10 @@ pub struct SavedView {
     pub eye_angle_degrees: Option<f32>,
     /// Size of the server's frames, relative to the picture.
     pub frame_scale: Option<f32>,
+    /// The slices beside the picture.
+    pub slices: Option<SavedSlices>,
+    /// The axis that points up.
+    pub up: Option<UpAxis>,
 }
 
 impl SavedView {
@@ -300,6 +316,7 @@ impl SavedView {
         };
         in_range("eye_angle_degrees", self.eye_angle_degrees, 0.0, 90.0)
             .or_else(|| in_range("frame_scale", self.frame_scale, 0.01, 1.0))
+            .or_else(|| self.slices.as_ref().and_then(SavedSlices::problem))
     }
 }
 
@@ -378,6 +395,7 @@ impl SavedState {
             .or_else(volume)
             .or_else(selection)
             .or_else(look)
+            .or_else(|| marks::problem(self.views.as_deref(), self.measures.as_deref()))
     }
 }
 

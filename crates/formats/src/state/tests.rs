@@ -1,6 +1,7 @@
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::SlabMode;
 
 use super::*;
 use crate::dtype::{Dtype, Endian};
@@ -22,6 +23,20 @@ fn raw(seed: u32) -> RawShape {
     let dtype = Dtype::ALL[seed as usize % Dtype::ALL.len()];
     let endian = [Endian::Little, Endian::Big][seed as usize / 2 % 2];
     RawShape { dims: [9, 6, 7], dtype, spacing: Vec3::ONE, endian, offset: 512 + u64::from(seed) }
+}
+
+fn slices(seed: u32) -> SavedSlices {
+    let turned = Quat::from_rotation_y(odd(seed)) * Quat::from_rotation_x(odd(seed + 1));
+    SavedSlices {
+        shown: seed.is_multiple_of(4),
+        point: [odd(seed), -odd(seed + 1), 1e-3],
+        thickness: odd(seed),
+        mode: SlabMode::Max,
+        window: seed.is_multiple_of(3).then(|| [-1000.0, odd(seed)]),
+        planes: [SavedPlane::Right, SavedPlane::Oblique(turned.to_array()), SavedPlane::Top],
+        in_picture: seed.is_multiple_of(3),
+        large: (seed % 5 == 1).then_some(2),
+    }
 }
 
 fn state(seed: u32) -> SavedState {
@@ -59,9 +74,11 @@ fn state(seed: u32) -> SavedState {
             stereo: Some(StereoPicture::RedCyan),
             orthographic: Some(seed % 2 == 1),
             eye_angle_degrees: Some(odd(seed)),
+            slices: (seed % 2 == 0).then(|| slices(seed)),
             ..SavedView::default()
         },
         look: Some(Look { shaded: seed.is_multiple_of(2), k: 9, clip: clip(seed), ..Look::new(transfer) }),
+        ..SavedState::default()
     }
 }
 

@@ -8,7 +8,9 @@ use isinglass_core::transfer::TransferFunction;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{ReadState, SavedCamera, SavedState, SavedView, SavedVolume, VERSION, VERSION_KEY};
+use super::{
+    NamedView, ReadState, SavedCamera, SavedMeasure, SavedState, SavedView, SavedVolume, VERSION, VERSION_KEY,
+};
 use crate::error::{FormatError, one_line, quoted, shown, syntax_error};
 use crate::transfer::{number_literal, text_literal};
 
@@ -16,6 +18,8 @@ use crate::transfer::{number_literal, text_literal};
 #[derive(Deserialize, Serialize)]
 struct StateFile {
     isinglass_state: i64,
+    views: Option<Vec<NamedView>>,
+    measures: Option<Vec<SavedMeasure>>,
     volume: Option<SavedVolume>,
     camera: Option<SavedCamera>,
     #[serde(default)]
@@ -25,9 +29,10 @@ struct StateFile {
 
 impl StateFile {
     fn of(state: &SavedState) -> Self {
-        let SavedState { volume, camera, view, look } = state.clone();
+        let SavedState { volume, camera, view, look, views, measures } = state.clone();
         let table = |look: Look| Table::try_from(look).expect("a look is a table of numbers and names");
-        Self { isinglass_state: VERSION, volume, camera, view, look: look.map(table) }
+        let look = look.map(table);
+        Self { isinglass_state: VERSION, views, measures, volume, camera, view, look }
     }
 
     fn table(&self) -> Table {
@@ -56,9 +61,10 @@ pub(super) fn read(text: &str, path: &Path) -> Result<ReadState, FormatError> {
         }
         None => return Err(problem(format!("found no {VERSION_KEY}, expected a saved state"))),
     }
-    let file: StateFile = toml::from_str(text).map_err(syntax)?;
-    let look = file.look.map(look_of).transpose().map_err(|e| problem(format!("look: {e}")))?;
-    let state = SavedState { volume: file.volume, camera: file.camera, view: file.view, look };
+    let mut file: StateFile = toml::from_str(text).map_err(syntax)?;
+    let look = file.look.take().map(look_of).transpose().map_err(|e| problem(format!("look: {e}")))?;
+    let StateFile { volume, camera, view, views, measures, .. } = file;
+    let state = SavedState { volume, camera, view, look, views, measures };
     let mut unknown = Vec::new();
     find_unknown("", &whole, &StateFile::of(&state).table(), &mut unknown);
     let note = (!unknown.is_empty()).then(|| {

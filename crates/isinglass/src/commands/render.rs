@@ -1,17 +1,21 @@
-//! `render`: the reference picture of a volume.
+//! `render`: the reference picture of a volume, or pictures and movies of a camera that moves.
 
-use std::path::PathBuf;
-use std::time::Instant;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::Args;
 use clap::error::ErrorKind;
 use isinglass_bench::progress::Progress;
+use isinglass_core::camera::{Camera, Pose};
 use isinglass_core::orbit::Orbit;
+use isinglass_core::space::Aabb;
+use isinglass_formats::movie::{MovieForm, MovieWriter, PICTURES_PER_SECOND};
 use serde_json::json;
 
 use crate::args::{
-    BackendArgs, ListArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input, parse_background, parse_picture,
+    BackendArgs, ListArgs, LookArgs, PathArgs, ViewArgs, VolumeArgs, not_an_input, parse_background,
+    parse_picture,
 };
 use crate::given::Given;
 use crate::lens_args::LensArgs;
@@ -27,12 +31,15 @@ pub(crate) struct RenderArgs {
     /// front, which is a body's anterior side where the file knows it and +z otherwise
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    /// PNG file to write. With --turntable a folder, which is made, or a name with a # for each digit of a number
+    /// PNG file to write. With --turntable or --path a folder, which is made, a name with a # for each digit of a
+    /// number, or a movie: .gif plays everywhere, .apng has all colours
     #[arg(short, long, value_name = "FILE", value_parser = parse_pictures)]
     output: PathBuf,
     /// Render N pictures once around the volume, starting at --orbit
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=MAX_PICTURES))]
     turntable: Option<u32>,
+    #[command(flatten)]
+    path: PathArgs,
     #[command(flatten)]
     view: ViewArgs,
     /// Colour behind the volume
@@ -55,12 +62,23 @@ pub(crate) struct RenderArgs {
 }
 
 pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
-    if args.turntable.is_none() && args.output.is_dir() {
+    let path = args.path.read()?;
+    if args.turntable.is_some() && path.is_some() {
+        let text = "found --turntable and --path, expected one of them";
+        return Err(clap::Error::raw(ErrorKind::ArgumentConflict, text).into());
+    }
+    let is_series = args.turntable.is_some() || path.is_some();
+    let movie = MovieForm::of(&args.output).filter(|_| is_series);
+    if !is_series && !args.output.is_dir() {
+        let parsed = parse_picture(&args.output.to_string_lossy());
+        parsed.map_err(|text| clap::Error::raw(ErrorKind::ValueValidation, text))?;
+    }
+    if !is_series && args.output.is_dir() {
         let text = format!("{}: found a folder, expected the name of a file", args.output.display());
         return Err(clap::Error::raw(ErrorKind::ValueValidation, text).into());
     }
     let seen = args.state.read(given)?;
-    if args.turntable.is_none() {
+    if !is_series || movie.is_some() {
         not_an_input(&args.output, seen.inputs(&args.volume, &args.state, &args.look))?;
     }
     seen.note_what_is_not_drawn(args.lens.has_two_eyes());
@@ -70,27 +88,51 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     let mode = opened.scene.settings.mode;
     let letters = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(letters.as_deref());
-    let num_pictures = args.turntable.unwrap_or(1);
-    let names = Names::of(args);
-    if let (Some(_), Names::Folder(folder)) = (args.turntable, &names) {
+    let num_pictures = match &path {
+        Some(path) => (path.duration().as_secs_f32() * PICTURES_PER_SECOND as f32) as u32 + 1,
+        None => args.turntable.unwrap_or(1),
+    };
+    let num_pictures = num_pictures.min(MAX_PICTURES as u32);
+    let names = Names::of(&args.output, is_series);
+    if let (None, Names::Folder(folder)) = (movie, &names) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
-    let mut progress = args.turntable.map(|n| Progress::new("turntable", n.into()));
+    let mut progress = is_series.then(|| Progress::new("pictures", num_pictures.into()));
+    let mut writer = None;
     let start = Instant::now();
     let mut told = None;
     for number in 0..num_pictures {
-        let degrees = 360.0 * number as f32 / num_pictures as f32;
-        let camera = seen.camera(&orbit, degrees, &args.view, &bounds);
+        let degrees = if path.is_some() { 0.0 } else { 360.0 * number as f32 / num_pictures as f32 };
+        let mut camera = seen.camera(&orbit, degrees, &args.view, &bounds);
+        let at = Duration::from_secs_f32(number as f32 / PICTURES_PER_SECOND as f32);
+        if let Some(pose) = path.as_ref().and_then(|path| path.pose_at(at, &camera.intrinsics, &bounds)) {
+            camera = moved(&camera, pose, &bounds);
+        }
         let plan = args.lens.plan(&camera, &bounds, letters.as_deref(), degrees)?;
         let pictures = plan.draw(|views| renderer.render_mean(views))?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;
         let picture = plan.compose(&pictures, seen.background(args.background));
-        picture.write(&names.file(number))?;
+        match movie {
+            Some(form) => {
+                let size = [picture.width, picture.height];
+                let begun = match writer.take() {
+                    Some(begun) => Ok(begun),
+                    None => MovieWriter::create(&args.output, form, size, num_pictures),
+                };
+                let mut begun = begun?;
+                begun.add(&picture)?;
+                writer = Some(begun);
+            }
+            None => picture.write(&names.file(number))?,
+        }
         if let Some(progress) = &mut progress {
             progress.advance(1, "");
         }
         told = Some(([picture.width, picture.height], plan.json, render_ms));
+    }
+    if let Some(writer) = writer {
+        writer.finish(true)?;
     }
     if let Some(progress) = progress {
         progress.finish();
@@ -120,15 +162,15 @@ enum Names {
 }
 
 impl Names {
-    fn of(args: &RenderArgs) -> Self {
-        if args.turntable.is_none() {
-            return Self::One(args.output.clone());
+    fn of(output: &Path, is_series: bool) -> Self {
+        if !is_series {
+            return Self::One(output.to_owned());
         }
-        let name = args.output.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let Some(first) = name.find('#') else { return Self::Folder(args.output.clone()) };
+        let name = output.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let Some(first) = name.find('#') else { return Self::Folder(output.to_owned()) };
         let (before, rest) = name.split_at(first);
         let after = rest.trim_start_matches('#');
-        let folder = args.output.parent().map(PathBuf::from).unwrap_or_default();
+        let folder = output.parent().map(PathBuf::from).unwrap_or_default();
         Self::Pattern(folder, before.to_owned(), rest.len() - after.len(), after.to_owned())
     }
 
@@ -143,10 +185,18 @@ impl Names {
     }
 }
 
+/// The same camera elsewhere.
+fn moved(camera: &Camera, pose: Pose, bounds: &Aabb) -> Camera {
+    // Parallel rays begin at the eye, so the whole volume must be in front of it.
+    let is_parallel = camera.intrinsics.projection.is_orthographic();
+    let pose = if is_parallel { pose.before(bounds) } else { pose };
+    Camera::new(pose, camera.intrinsics, bounds)
+}
+
 /// A file to write, or an existing folder.
 fn parse_pictures(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    if path.is_dir() { Ok(path) } else { parse_picture(text) }
+    if path.is_dir() || MovieForm::of(&path).is_some() { Ok(path) } else { parse_picture(text) }
 }
 
 /// A minute at 60 pictures a second.

@@ -6,9 +6,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use isinglass_core::codec::{self, HEADER_BYTES, MAX_CHUNK_BYTES};
 use isinglass_core::session::chunks::{ChunkPlace, Prediction};
 use isinglass_core::wire::screenshot::screenshot_id;
+use isinglass_core::wire::slice::slice_id;
 use quinn::{Connection, RecvStream};
 
-use super::{Shared, screenshot};
+use super::{Shared, whole};
 use crate::transport::{RESET_SUPERSEDED, STOP_UNUSABLE};
 
 /// Reads each stream of a connection in a task of its own, until the connection ends.
@@ -55,7 +56,10 @@ async fn read(
         }
         bytes.extend_from_slice(&part.bytes);
         if header.is_none() && screenshot_id(&bytes).is_some() {
-            return screenshot::read(shared, stream, bytes, budget).await;
+            return whole::read_screenshot(shared, stream, bytes, budget).await;
+        }
+        if header.is_none() && slice_id(&bytes).is_some() {
+            return whole::read_slice(shared, stream, bytes, budget).await;
         }
         if header.is_none() && bytes.len() >= HEADER_BYTES {
             let read = codec::peek(&bytes);

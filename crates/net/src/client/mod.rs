@@ -8,8 +8,8 @@ mod chunks;
 mod connection;
 mod decode;
 mod error;
-mod screenshot;
 mod status;
+mod whole;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};

@@ -9,7 +9,9 @@ use std::time::Duration;
 
 use isinglass_core::codec::{self, Chunk};
 use isinglass_core::ids::{FrameId, PoseId, ScreenshotId};
-use isinglass_core::session::chunks::{Rank, SCREENSHOT_PRIORITY, priority};
+use isinglass_core::session::chunks::{
+    Rank, SCREENSHOT_PRIORITY, SLICE_AHEAD_PRIORITY, SLICE_PRIORITY, priority,
+};
 use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::LinkState;
 use isinglass_core::wire::screenshot::screenshot_header;
@@ -65,22 +67,39 @@ impl FrameSender {
     /// # Errors
     /// If the connection is over.
     pub async fn send_screenshot(&self, id: ScreenshotId, png: &[u8]) -> Result<(), SessionClosed> {
-        let stream = self.link.connection.open_uni().await.map_err(|_| SessionClosed)?;
-        let _ = stream.set_priority(SCREENSHOT_PRIORITY);
-        let mut stream = ChunkStream { stream, first_of: None };
+        let mut stream = ChunkStream::open_whole(&self.link, SCREENSHOT_PRIORITY).await?;
         let header = screenshot_header(id);
         for part in [&header[..]].into_iter().chain(png.chunks(4 * PIECE)) {
-            // Priorities only order what is in quinn's window, so frames must enter it first. A piece goes out now
-            // and then all the same, or a viewer that never rests would wait for ever.
-            let mut writing = self.link.num_writing.subscribe();
-            let _ = tokio::time::timeout(SCREENSHOT_PATIENCE, writing.wait_for(|num| *num == 0)).await;
-            if !stream.write_part(&self.link, part).await? {
+            if !stream.write_behind(&self.link, part).await? {
                 return Ok(());
             }
         }
         let _ = stream.stream.finish();
         all_delivered(&[stream]).await;
         Ok(())
+    }
+
+    /// Writes the stream of a slice, before all frames or, if `is_ahead`, behind them. Returns when the network has
+    /// taken it.
+    ///
+    /// If the future or the result is dropped, the slice is given up.
+    ///
+    /// # Errors
+    /// If the connection is over.
+    pub async fn send_slice(&self, bytes: &[u8], is_ahead: bool) -> Result<SentSlice, SessionClosed> {
+        let priority = if is_ahead { SLICE_AHEAD_PRIORITY } else { SLICE_PRIORITY };
+        let mut stream = ChunkStream::open_whole(&self.link, priority).await?;
+        for part in bytes.chunks(4 * PIECE) {
+            let is_taken = match is_ahead {
+                true => stream.write_behind(&self.link, part).await?,
+                false => stream.write_part(&self.link, part).await?,
+            };
+            if !is_taken {
+                return Ok(SentSlice(stream));
+            }
+        }
+        let _ = stream.stream.finish();
+        Ok(SentSlice(stream))
     }
 
     /// The state of the link according to QUIC.
@@ -125,6 +144,17 @@ impl FrameSender {
         let watched = link.clone();
         tokio::spawn(async move { deliver(&watched, frame, streams, rank).await }.in_current_span());
         Ok(())
+    }
+}
+
+/// A slice that the network has taken.
+#[derive(Debug)]
+pub struct SentSlice(ChunkStream);
+
+impl SentSlice {
+    /// Returns when the viewer has the slice, or wants it no longer.
+    pub async fn delivered(self) {
+        all_delivered(&[self.0]).await;
     }
 }
 
@@ -200,6 +230,22 @@ impl ChunkStream {
         Ok(Self { stream, first_of: Some(frame) })
     }
 
+    /// A stream for something that is no chunk.
+    async fn open_whole(link: &ViewerLink, priority: i32) -> Result<Self, SessionClosed> {
+        let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
+        let _ = stream.set_priority(priority);
+        Ok(Self { stream, first_of: None })
+    }
+
+    /// Writes a part of the stream when no frame is being written; returns whether the client still takes it.
+    async fn write_behind(&mut self, link: &ViewerLink, part: &[u8]) -> Result<bool, SessionClosed> {
+        // Priorities only order what is in quinn's window, so frames must enter it first. A piece goes out now and
+        // then all the same, or a viewer that never rests would wait for ever.
+        let mut writing = link.num_writing.subscribe();
+        let _ = tokio::time::timeout(PATIENCE_BEHIND, writing.wait_for(|num| *num == 0)).await;
+        self.write_part(link, part).await
+    }
+
     /// Writes a whole chunk as window and rate allow. A client may stop the stream without an error.
     async fn write(&mut self, link: &ViewerLink, bytes: &[u8]) -> Result<(), SessionClosed> {
         if self.write_part(link, bytes).await? {
@@ -266,8 +312,8 @@ const MAX_WAIT_SECONDS: f64 = 60.0;
 /// Bytes per write. quinn frees their window when all of them are acknowledged. With much more, a sender that fills
 /// the window looks idle in between, and the congestion window does not grow.
 const PIECE: usize = 4_000;
-/// Longest wait of a screenshot for frames before its next piece goes out all the same.
-const SCREENSHOT_PATIENCE: Duration = Duration::from_millis(250);
+/// Longest wait of a screenshot or of a slice ahead for frames, before its next piece goes out all the same.
+const PATIENCE_BEHIND: Duration = Duration::from_millis(250);
 /// Bytes that may wait beyond the congestion window, so that a blocked sender never looks idle: quinn does not widen
 /// the congestion window of an idle one. Waiting bytes are older than what could be made in their place. With 32 kB,
 /// frames are twice as old where packets are lost.

@@ -31,7 +31,7 @@ use crate::transport;
 
 use pending_hellos::{MAX_PENDING, PendingHellos};
 
-pub use frames::FrameSender;
+pub use frames::{FrameSender, SentSlice};
 pub use session::{Control, Session, SessionClosed};
 
 /// A bound endpoint that admits viewers.

@@ -210,3 +210,69 @@ fn the_light_can_be_moved_in_the_picture_and_shade_changes_it() {
     assert!(w.state().viewing.source().here().look.1.lighting.shadows > 0.3);
     assert_ne!(picture(&w), before);
 }
+
+#[test]
+fn a_picture_can_be_transparent_and_have_scale_and_legend() {
+    let folder = Folder::new("marks");
+    let mut w = window([900.0, 600.0]);
+    w.state_mut().screenshots.folder = folder.0.display().to_string();
+    press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
+    w.get_by_label("transparent").click();
+    rest(&mut w);
+    let mut pixels = Vec::new();
+    for has_marks in [false, true] {
+        if has_marks {
+            press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
+            w.get_by_label("scale bar").click();
+            w.get_by_label("colour legend").click();
+            rest(&mut w);
+        }
+        w.get_by_label("Take the picture").click();
+        w.step();
+        finish(&mut w);
+        let (_, png) = folder.files().pop().unwrap();
+        pixels.push(isinglass_formats::png::decode_rgba(&png, 1 << 22).unwrap().1);
+        std::fs::remove_dir_all(&folder.0).unwrap();
+    }
+    let opacity = |pixels: &[u8], is: fn(u8) -> bool| pixels.chunks(4).filter(|p| is(p[3])).count();
+    assert!(opacity(&pixels[0], |a| a == 0) > 1000 && opacity(&pixels[0], |a| a > 100) > 1000);
+    let differ = pixels[0].chunks(4).zip(pixels[1].chunks(4)).filter(|(a, b)| a != b).count();
+    assert!((500..60_000).contains(&differ), "{differ} pixels of bar and legend");
+    std::fs::create_dir_all(&folder.0).unwrap();
+}
+
+#[test]
+fn a_turntable_can_be_a_movie_and_a_cancelled_one_leaves_nothing() {
+    let folder = Folder::new("movie");
+    let mut w = window([320.0, 240.0]);
+    w.state_mut().screenshots.folder = folder.0.display().to_string();
+    for (form, begins) in [("GIF", &b"GIF89a"[..]), ("APNG", b"\x89PNG\r\n\x1a\n")] {
+        w.state_mut().screenshots.set_for_test("width", 40);
+        w.state_mut().screenshots.set_for_test("height", 30);
+        w.state_mut().screenshots.set_for_test("pictures", 4);
+        press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
+        w.get_by_label(form).click();
+        rest(&mut w);
+        w.get_by_label("Make the turntable").click();
+        w.step();
+        finish(&mut w);
+        let files = folder.files();
+        let [(name, bytes)] = &files[..] else { panic!("one file: {}", files.len()) };
+        assert!(name.ends_with(&form.to_lowercase()) && bytes.starts_with(begins), "{name}");
+        assert!(w.state().notice().contains(name.as_str()), "{}", w.state().notice());
+        std::fs::remove_file(folder.0.join(name)).unwrap();
+    }
+    // Stopped after the first picture.
+    press(&mut w, Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::S);
+    w.get_by_label("Make the turntable").click();
+    w.run_steps(2);
+    w.state().viewing.source().here().sleeps = true;
+    for _ in 0..100 {
+        w.step();
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    w.get_by_label("Cancel").click();
+    rest(&mut w);
+    assert!(folder.files().is_empty(), "{:?}", folder.files().len());
+    assert!(w.state().notice().contains("No movie"), "{}", w.state().notice());
+}

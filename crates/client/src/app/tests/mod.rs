@@ -8,6 +8,7 @@ use egui::{Event, Key, Modifiers, PointerButton, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use isinglass_core::camera::{Camera, Pose};
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
@@ -16,6 +17,7 @@ use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
+use isinglass_core::volume::Slice;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::wire::{ClientMessage, ScreenshotRequest, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
@@ -50,6 +52,7 @@ struct Here {
     num_probes: usize,
     num_shots: u32,
     num_cancelled: usize,
+    num_slice_lists: usize,
     state: State,
     stats: LinkStats,
 }
@@ -72,6 +75,7 @@ impl HereSource {
             num_probes: 0,
             num_shots: 0,
             num_cancelled: 0,
+            num_slice_lists: 0,
             state: State::Connected,
             stats: LinkStats::default(),
         };
@@ -98,6 +102,9 @@ impl HereSource {
                     here.num_probes += 1;
                     session.probe.handle_answer(question.answer(&here.scene.volume));
                 }
+                ClientMessage::Profile(question) => {
+                    session.profile.handle_answer(question.answer(&here.scene.volume));
+                }
                 ClientMessage::TakeScreenshot(shot) => {
                     here.num_shots += 1;
                     if !here.sleeps {
@@ -105,6 +112,13 @@ impl HereSource {
                     }
                 }
                 ClientMessage::CancelScreenshot => here.num_cancelled += 1,
+                ClientMessage::WantSlices(list) => {
+                    here.num_slice_lists += 1;
+                    for wanted in list.slices.iter().filter(|_| !here.sleeps) {
+                        let slice = Slice::of(&here.scene.volume, &wanted.spec, ALWAYS).unwrap();
+                        session.slices.handle_slice(wanted.id, slice);
+                    }
+                }
                 _ => {}
             }
         }
@@ -135,13 +149,18 @@ impl Here {
     fn png(&self, shot: &ScreenshotRequest) -> Vec<u8> {
         let view = shot.view().unwrap();
         let camera = Camera::new(view.pose, view.intrinsics, &self.scene.volume.bounds());
-        let linear = ViewAids { background: shot.background, ..ViewAids::default() }.linear_background();
         let scene = match shot.look.as_deref() {
             Some(look) => Scene::new(self.scene.volume.clone(), &look.transfer, look.march_settings()),
             None => self.scene.clone(),
         };
-        let rgb = render(&scene, &camera).to_srgb8(linear);
-        isinglass_formats::png::encode(view.intrinsics.width, view.intrinsics.height, &rgb).unwrap()
+        let picture = render(&scene, &camera);
+        let bytes = match shot.background {
+            Some(background) => {
+                picture.to_srgb8(ViewAids { background, ..ViewAids::default() }.linear_background())
+            }
+            None => picture.to_srgba8(),
+        };
+        isinglass_formats::png::encode(view.intrinsics.width, view.intrinsics.height, &bytes).unwrap()
     }
 
     fn render(&mut self) {
@@ -510,6 +529,9 @@ fn every_control_has_a_name_in_both_themes_and_at_small_sizes() {
 
 mod access;
 mod clip;
+mod measures;
 mod narrow;
 mod offline;
+mod slices;
 mod states;
+mod views;

@@ -20,6 +20,14 @@ pub enum Action {
     FirstView,
     /// Show a standard view, from the front, the right or the top, or from the opposite side.
     StandardView(Side, Opposite),
+    /// Show three sides alike.
+    Isometric,
+    /// Bring all of the volume into the picture.
+    Fit,
+    /// Return to the view before the newest movement.
+    PreviousView,
+    /// Return from there.
+    NextView,
     /// Move the camera by a step.
     Step(Step),
     /// Switch the numbers on or off.
@@ -30,6 +38,8 @@ pub enum Action {
     Box,
     /// Switch the clip handles on or off, with a clip box if there is no clip.
     Clip,
+    /// Switch the slices beside the picture on or off.
+    Slices,
     /// Switch between perspective and parallel rays.
     Projection,
     /// Switch axes and scale bar on or off.
@@ -38,6 +48,8 @@ pub enum Action {
     Stereo,
     /// Switch the probe on or off.
     Probe,
+    /// Switch measuring on or off.
+    Measure,
     /// Save a picture of the view.
     Picture,
     /// Open the dialog for a picture of another size, or for a turntable.
@@ -71,7 +83,7 @@ pub enum Action {
 impl Action {
     /// Whether the key repeats while it is held down.
     fn repeats(self) -> bool {
-        matches!(self, Self::Undo | Self::Redo | Self::Step(_))
+        matches!(self, Self::Undo | Self::Redo | Self::PreviousView | Self::NextView | Self::Step(_))
     }
 }
 
@@ -401,6 +413,15 @@ const TABLE: &[Line] = &[
             ("bottom", view(Side::Top, true), &["shift+7"]),
         ],
     ),
+    keys("isometric view", &[("isometric", Deed::Act(Action::Isometric), &["0"])]),
+    keys("fit the volume into the picture", &[("fit", Deed::Act(Action::Fit), &["f"])]),
+    keys(
+        "the view before, the view after",
+        &[
+            ("previous-view", Deed::Act(Action::PreviousView), &["alt+left"]),
+            ("next-view", Deed::Act(Action::NextView), &["alt+right"]),
+        ],
+    ),
     keys(
         "turn the volume by a step",
         &[
@@ -450,6 +471,11 @@ const TABLE: &[Line] = &[
     task("Measure, cut, watch"),
     keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
     keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
+    keys("slices beside the picture on or off", &[("slices", Deed::Act(Action::Slices), &["x"])]),
+    fixed("on a slice: click, drag", "move the common point"),
+    fixed("on a slice: wheel, PageUp, PageDown", "the next slice, the one before"),
+    fixed("on a slice: right or Shift+left drag", "window and level"),
+    fixed("on a slice: double click", "larger, and back"),
     keys("the volume's box on or off", &[("box", Deed::Act(Action::Box), &["b"])]),
     keys("axes and scale bar on or off", &[("axes", Deed::Act(Action::Axes), &["a"])]),
     keys(

@@ -121,12 +121,6 @@ pub(crate) fn problem(ui: &mut Ui, text: &str) {
     ui.add(egui::Label::new(text).wrap());
 }
 
-/// Names something painted for screen readers.
-pub(crate) fn image(ui: &Ui, rect: Rect, id: &str, name: &str) {
-    let response = ui.interact(rect, egui::Id::unique(id), egui::Sense::hover());
-    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, name));
-}
-
 /// Draws the emblem: sheets of mica, one behind the other.
 pub(crate) fn emblem(painter: &egui::Painter, center: egui::Pos2, scale: f32, is_dark: bool) {
     let (fill, line) = match is_dark {

@@ -388,6 +388,7 @@ fn priorities_never_mix_ranks() {
         assert!(p(old, 0, Predicting) > p(old, 1, Predicting));
         assert!(p(FrameId(FRAMES), 15, Predicting) > p(FrameId(FRAMES), 0, Independent));
         assert!(p(FrameId(0), 0, Predicting) < CONTROL_PRIORITY);
-        assert!(p(FrameId(0), 15, Finer) > SCREENSHOT_PRIORITY);
+        assert!(p(FrameId(0), 0, Predicting) < SLICE_PRIORITY);
+        assert!(p(FrameId(0), 15, Finer) > SLICE_AHEAD_PRIORITY);
     }
 }

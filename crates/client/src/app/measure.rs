@@ -1,0 +1,95 @@
+//! Measuring in the window: events of points, the pane, and the values along a line.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use isinglass_core::clip::Region;
+use isinglass_net::ReceivedFrame;
+
+use super::{ViewerApp, is_free};
+use crate::paint::clip_editor::ClipView;
+use crate::paint::view_aids::pixel_at;
+use crate::panels::measure;
+use crate::view::frame_source::FrameSource;
+use crate::view::pick::visible_point;
+use crate::view::viewing::Refresh;
+use crate::view::waker_of;
+
+/// What the refresh before showed, which the person points at.
+pub(crate) struct SeenPicture {
+    view: ClipView,
+    region: Region,
+    frame: Arc<ReceivedFrame>,
+}
+
+impl SeenPicture {
+    pub(super) fn of(rect: egui::Rect, refresh: &Refresh) -> Option<Self> {
+        Some(Self {
+            view: ClipView { rect, camera: refresh.camera, bounds: refresh.bounds },
+            region: refresh.clip.region(&refresh.bounds),
+            frame: refresh.frame.clone()?,
+        })
+    }
+}
+
+impl<S: FrameSource> ViewerApp<S> {
+    /// Gives points of measurements their events before the camera gets the rest.
+    pub(super) fn drag_measures(&mut self, ctx: &egui::Context, events: &mut Vec<egui::Event>) {
+        let Some(SeenPicture { view, region, frame }) = &self.seen_picture else { return };
+        let cube = (self.aids.shows_axes).then(|| self.cube_rect());
+        let pick = |at| {
+            let pixel = pixel_at(view.rect, &view.camera, at);
+            visible_point(&frame.frame, region, &view.camera, pixel)
+        };
+        let free = |at| is_free(ctx, self.room, at) && cube.is_none_or(|cube| !cube.contains(at));
+        if self.measures.take_events(events, view, pick, free) {
+            ctx.request_repaint();
+        }
+        if self.measures.is_busy() {
+            ctx.set_cursor_icon(egui::CursorIcon::Grab);
+        }
+    }
+
+    /// Draws the measurements, shows their pane, and asks for the values along the shown line.
+    pub(super) fn show_measures(&mut self, ui: &egui::Ui, rect: egui::Rect, refresh: &Refresh) {
+        if !self.measures.is_on || !self.stereo().is_mono() {
+            return;
+        }
+        let Some(description) = self.viewing.source().description() else { return };
+        let view = ClipView { rect, camera: refresh.camera, bounds: refresh.bounds };
+        let pen = self.aids.pen(ui.painter());
+        self.measures.paint(&pen, &view, &measure::scale(&description.volume));
+        let has_dialog = self.shows_help || self.screenshots.is_dialog_open() || self.open_dialog.is_open();
+        if let Some(wanted) = self.measure_pane.wanted(self.measures.measures(), &description) {
+            let id = self.viewing.source().talk().profile.ask(wanted.ends, wanted.num_points);
+            self.measure_pane.note_asked(&wanted, &description, id);
+        }
+        if has_dialog || !self.shows_bars {
+            return;
+        }
+        let answer = self.viewing.source().talk().profile.answer().cloned();
+        let (room, ctx) = (self.room_at_top(), ui.ctx());
+        let volume = &description.volume;
+        self.measure_pane.show(ctx, room, &mut self.measures, volume, answer.as_ref(), &waker_of(ctx));
+    }
+
+    /// A click in the picture means a point, not the centre of rotation.
+    pub(super) fn is_measuring(&self) -> bool {
+        self.measures.is_on
+    }
+
+    #[cfg(test)]
+    pub(super) fn told(&self) -> Vec<String> {
+        let Some(description) = self.viewing.source().description() else { return Vec::new() };
+        let scale = measure::scale(&description.volume);
+        self.measures.measures().iter().map(|m| scale.told(m)).collect()
+    }
+
+    /// Switches measuring on or off.
+    pub(super) fn toggle_measures(&mut self, now: Duration) {
+        self.measures.toggle();
+        if self.measures.is_on && !self.stereo().is_mono() {
+            self.tell(now, "Measuring needs a picture for one eye: switch stereo off");
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! Measuring in the whole window: points on surfaces, their pane, the state and the CSV file.
+
+use glam::Vec3;
+use isinglass_formats::MeasureKind;
+
+use super::*;
+use crate::paint::view_aids::projected;
+
+fn click_at(w: &mut Harness<'_, ViewerApp<HereSource>>, at: egui::Pos2) {
+    w.event(Event::PointerMoved(at));
+    for pressed in [true, false] {
+        let button = PointerButton::Primary;
+        w.event(Event::PointerButton { pos: at, button, pressed, modifiers: Modifiers::NONE });
+    }
+    rest(w);
+}
+
+fn points(w: &Harness<'_, ViewerApp<HereSource>>, number: usize) -> Vec<Vec3> {
+    w.state().measures.measures()[number].points.iter().map(|p| Vec3::from_array(*p)).collect()
+}
+
+fn on_screen(w: &Harness<'_, ViewerApp<HereSource>>, point: Vec3) -> egui::Pos2 {
+    let view = w.state().clip_view.unwrap();
+    projected(&view.camera.basis(), view.rect, point, point).unwrap()[0]
+}
+
+/// Two places where the shells are seen.
+const PLACES: [egui::Pos2; 2] = [egui::pos2(420.0, 320.0), egui::pos2(480.0, 380.0)];
+
+fn measured() -> Harness<'static, ViewerApp<HereSource>> {
+    let mut w = window([900.0, 700.0]);
+    press(&mut w, Modifiers::NONE, Key::D);
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
+    w
+}
+
+#[test]
+fn two_clicks_tell_the_distance_of_what_is_seen_there() {
+    let mut w = window([900.0, 700.0]);
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
+    assert!(w.state().measures.measures().is_empty(), "control: it is off");
+    let mut w = measured();
+    let [a, b] = points(&w, 0)[..] else { panic!("a distance has two points") };
+    for (point, at) in [a, b].into_iter().zip(PLACES) {
+        assert!(on_screen(&w, point).distance(at) < 0.5, "the point is under the pointer");
+        let bounds = w.state().clip_view.unwrap().bounds;
+        assert!(point.cmpge(bounds.min).all() && point.cmple(bounds.max).all());
+    }
+    let expected = format!("{:.2}", a.distance(b));
+    let told = w.state().told().remove(0);
+    assert!(told.starts_with(&expected[..3]), "{told} {expected}");
+    assert!(w.query_by_label_contains(&format!("1: Distance {told}")).is_some(), "the pane says so");
+    assert_eq!(w.unnamed_widgets(), Vec::<String>::new());
+    // The camera has not moved, and a drag beside the points still turns it.
+    let before = pose(&w);
+    drag(&mut w, egui::pos2(200.0, 560.0), vec2(60.0, 10.0), Modifiers::NONE);
+    assert!(pose(&w) != before && w.state().measures.measures().len() == 1);
+    assert_eq!(points(&w, 0), [a, b], "points stay in the volume");
+}
+
+#[test]
+fn a_point_is_dragged_over_the_surface_and_the_camera_stays() {
+    let mut w = measured();
+    let before = (pose(&w), points(&w, 0));
+    let from = on_screen(&w, before.1[1]);
+    drag(&mut w, from, vec2(-20.0, -90.0), Modifiers::NONE);
+    let after = points(&w, 0);
+    assert_eq!((pose(&w), after[0]), (before.0, before.1[0]));
+    assert!(on_screen(&w, after[1]).distance(from + vec2(-20.0, -90.0)) < 0.5);
+    w.get_by_label("remove measurement 1").click();
+    rest(&mut w);
+    assert!(w.state().measures.measures().is_empty());
+}
+
+#[test]
+fn the_values_along_a_line_are_the_server_s_and_go_to_a_csv_file() {
+    let mut w = window([900.0, 700.0]);
+    press(&mut w, Modifiers::NONE, Key::D);
+    w.get_by_label("Profile").click();
+    rest(&mut w);
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
+    assert_eq!(w.state().measures.measures()[0].kind, MeasureKind::Profile);
+    let answer = w.state().viewing.source().talk().profile.answer().cloned().unwrap();
+    let ends = points(&w, 0);
+    let question = isinglass_core::wire::ProfileRequest {
+        id: answer.id,
+        ends: [ends[0].to_array(), ends[1].to_array()],
+        num_points: answer.values.len() as u16,
+    };
+    assert_eq!(answer, question.answer(&w.state().viewing.source().here().scene.volume.clone()));
+    assert!(w.query_by_label_contains("values along").is_some());
+
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = folder.path().join("a.csv");
+    w.state_mut().measure_pane.set_path(&path);
+    w.get_by_label("Save as CSV").click();
+    for _ in 0..2000 {
+        w.step();
+        if path.exists() && w.query_by_label_contains("saved as").is_some() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(text.lines().count(), 1 + answer.values.len());
+    assert!(text.lines().nth(1).unwrap().starts_with("1,profile,1,"), "{text}");
+    // Another file of that name stays until the person says so again.
+    std::fs::write(&path, "mine").unwrap();
+    w.get_by_label("Save as CSV").click();
+    for _ in 0..200 {
+        w.step();
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
+}
+
+#[test]
+fn a_state_keeps_what_was_measured() {
+    let w = measured();
+    let state = w.state().saved_state(&w.ctx, w.state().window.unwrap()).unwrap();
+    assert_eq!(state.measures.as_deref(), Some(w.state().measures.measures()));
+    let mut other = window([900.0, 700.0]);
+    other.state_mut().options.state = Some(state);
+    rest(&mut other);
+    assert_eq!(points(&other, 0), points(&w, 0));
+    assert!(other.state().measures.is_on, "it is seen at once");
+}

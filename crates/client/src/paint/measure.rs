@@ -1,0 +1,407 @@
+//! Measurements in the picture: points on surfaces under the user's hand, lines between them, and what they measure.
+//!
+//! A short click sets a point where something is visible. A point can be dragged. A longer drag that begins beside the
+//! points moves the camera as ever.
+
+use egui::{Align2, Color32, Event, PointerButton, Pos2, vec2};
+use glam::Vec3;
+use isinglass_formats::{MAX_MEASURE_POINTS, MAX_MEASURES, MeasureKind, SavedMeasure};
+
+use super::clip_editor::ClipView;
+use super::view_aids::{Pen, projected};
+
+/// The measurements, and what the pointer does with them.
+#[derive(Clone, Debug)]
+pub(crate) struct MeasureEditor {
+    pub(crate) is_on: bool,
+    /// What the next points measure.
+    pub(crate) kind: MeasureKind,
+    done: Vec<SavedMeasure>,
+    /// Points of a measurement that lacks some, or of a path that goes on.
+    begun: Vec<[f32; 3]>,
+    hovered: Option<PointPlace>,
+    drag: Option<PointPlace>,
+    pressed_at: Option<Pos2>,
+}
+
+/// A point: the number of its measurement, and its own.
+type PointPlace = (usize, usize);
+
+impl Default for MeasureEditor {
+    fn default() -> Self {
+        Self {
+            is_on: false,
+            kind: MeasureKind::Distance,
+            done: Vec::new(),
+            begun: Vec::new(),
+            hovered: None,
+            drag: None,
+            pressed_at: None,
+        }
+    }
+}
+
+impl MeasureEditor {
+    pub(crate) fn toggle(&mut self) {
+        self.is_on = !self.is_on;
+        self.end_drag();
+        self.begun.clear();
+    }
+
+    pub(crate) fn measures(&self) -> &[SavedMeasure] {
+        &self.done
+    }
+
+    /// Replaces the measurements.
+    pub(crate) fn set(&mut self, measures: Vec<SavedMeasure>) {
+        self.is_on |= !measures.is_empty();
+        *self = Self { is_on: self.is_on, kind: self.kind, done: measures, ..Self::default() };
+    }
+
+    pub(crate) fn remove(&mut self, number: usize) {
+        if number < self.done.len() {
+            self.done.remove(number);
+            self.end_drag();
+        }
+    }
+
+    /// Number of points of the measurement that is not complete.
+    pub(crate) fn num_begun(&self) -> usize {
+        self.begun.len()
+    }
+
+    /// Measures something else from now on.
+    pub(crate) fn choose(&mut self, kind: MeasureKind) {
+        self.kind = kind;
+        self.begun.clear();
+    }
+
+    /// Ends a path.
+    pub(crate) fn finish(&mut self) {
+        if self.kind == MeasureKind::Path && self.begun.len() >= 2 {
+            self.complete();
+        }
+    }
+
+    /// Gives up the measurement that is not complete.
+    pub(crate) fn give_up(&mut self) {
+        self.begun.clear();
+    }
+
+    pub(crate) fn end_drag(&mut self) {
+        (self.drag, self.hovered, self.pressed_at) = (None, None, None);
+    }
+
+    pub(crate) fn is_busy(&self) -> bool {
+        self.hovered.is_some() || self.drag.is_some()
+    }
+
+    /// Takes the events of the points out of a refresh's events. `pick` finds the visible point of the volume under a
+    /// point of the screen. `is_free`: no panel covers a point. Returns whether something changed.
+    pub(crate) fn take_events(
+        &mut self,
+        events: &mut Vec<Event>,
+        view: &ClipView,
+        pick: impl Fn(Pos2) -> Option<Vec3>,
+        is_free: impl Fn(Pos2) -> bool,
+    ) -> bool {
+        if !self.is_on {
+            return false;
+        }
+        let (mut dragged_to, mut changed) = (None, false);
+        events.retain(|event| match event {
+            Event::PointerMoved(to) => {
+                match self.drag {
+                    Some(place) => dragged_to = Some((place, *to)),
+                    None => self.hovered = self.point_at(view, *to).filter(|_| is_free(*to)),
+                }
+                true
+            }
+            Event::PointerButton { pos, button: PointerButton::Primary, pressed: true, modifiers } => {
+                self.hovered = self.point_at(view, *pos).filter(|_| is_free(*pos));
+                self.drag = self.hovered;
+                let can_set = self.drag.is_none() && modifiers.is_none() && is_free(*pos);
+                self.pressed_at = can_set.then_some(*pos);
+                self.drag.is_none()
+            }
+            Event::PointerButton { pos, button: PointerButton::Primary, pressed: false, .. } => {
+                if let Some(place) = self.drag.take() {
+                    dragged_to = Some((place, *pos));
+                    return false;
+                }
+                let is_click = self.pressed_at.take().is_some_and(|at| at.distance(*pos) < CLICK_POINTS);
+                if is_click {
+                    changed |= self.click(view, *pos, &pick);
+                }
+                true
+            }
+            // The system may never report the release.
+            Event::WindowFocused(false) => {
+                self.end_drag();
+                true
+            }
+            _ => true,
+        });
+        // Of many movements in a refresh, the last counts.
+        if let Some(((number, point), to)) = dragged_to
+            && let Some(found) = pick(to)
+            && let Some(place) = self.done.get_mut(number).and_then(|m| m.points.get_mut(point))
+        {
+            changed |= *place != found.to_array();
+            *place = found.to_array();
+        }
+        changed
+    }
+
+    /// Sets a point. A click on the last point of a path ends the path.
+    fn click(&mut self, view: &ClipView, at: Pos2, pick: impl Fn(Pos2) -> Option<Vec3>) -> bool {
+        let is_at_last = self.begun.last().and_then(|p| on_screen(view, *p));
+        if self.kind == MeasureKind::Path && is_at_last.is_some_and(|last| last.distance(at) < GRAB_POINTS) {
+            self.finish();
+            return true;
+        }
+        let Some(point) = pick(at) else { return false };
+        if self.done.len() >= MAX_MEASURES {
+            return false;
+        }
+        self.begun.push(point.to_array());
+        let most = match self.kind {
+            MeasureKind::Distance | MeasureKind::Profile => 2,
+            MeasureKind::Angle => 3,
+            MeasureKind::Path => MAX_MEASURE_POINTS,
+        };
+        if self.begun.len() >= most {
+            self.complete();
+        }
+        true
+    }
+
+    fn complete(&mut self) {
+        let points = std::mem::take(&mut self.begun);
+        self.done.push(SavedMeasure { kind: self.kind, points });
+    }
+
+    fn point_at(&self, view: &ClipView, at: Pos2) -> Option<PointPlace> {
+        let places = self.done.iter().enumerate().flat_map(|(number, measure)| {
+            measure.points.iter().enumerate().map(move |(point, p)| ((number, point), *p))
+        });
+        let near = places.filter_map(|(place, p)| {
+            let distance = on_screen(view, p)?.distance(at);
+            (distance < GRAB_POINTS).then_some((place, distance))
+        });
+        near.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(place, _)| place)
+    }
+
+    /// Draws all measurements. `scale` tells lengths.
+    pub(crate) fn paint(&self, pen: &Pen<'_>, view: &ClipView, scale: &LengthScale<'_>) {
+        if !self.is_on {
+            return;
+        }
+        for (number, measure) in self.done.iter().enumerate() {
+            let is_busy = |point| self.drag.or(self.hovered) == Some((number, point));
+            paint_points(pen, view, &measure.points, is_busy);
+            let at = match measure.kind {
+                MeasureKind::Distance | MeasureKind::Profile => middle(&measure.points),
+                MeasureKind::Angle => measure.points.get(1).copied(),
+                MeasureKind::Path => measure.points.last().copied(),
+            };
+            if let Some(at) = at.and_then(|at| on_screen(view, at)) {
+                let text = format!("{}: {}", number + 1, scale.told(measure));
+                pen.text(at + vec2(0.0, -9.0), Align2::CENTER_BOTTOM, &text, 13.0, LINE);
+            }
+        }
+        paint_points(pen, view, &self.begun, |_| false);
+    }
+}
+
+fn paint_points(pen: &Pen<'_>, view: &ClipView, points: &[[f32; 3]], is_busy: impl Fn(usize) -> bool) {
+    let basis = view.camera.basis();
+    for pair in points.windows(2) {
+        let [a, b] = [pair[0], pair[1]].map(Vec3::from_array);
+        if let Some(ends) = projected(&basis, view.rect, a, b) {
+            pen.line(ends, 2.0, LINE);
+        }
+    }
+    for (i, point) in points.iter().enumerate() {
+        if let Some(at) = on_screen(view, *point) {
+            let (radius, color) = if is_busy(i) { (7.0, Color32::WHITE) } else { (4.5, LINE) };
+            pen.disc(at, radius, color);
+        }
+    }
+}
+
+fn on_screen(view: &ClipView, point: [f32; 3]) -> Option<Pos2> {
+    let point = Vec3::from_array(point);
+    projected(&view.camera.basis(), view.rect, point, point).map(|[at, _]| at)
+}
+
+fn middle(points: &[[f32; 3]]) -> Option<[f32; 3]> {
+    let [a, b] = [*points.first()?, *points.last()?].map(Vec3::from_array);
+    Some(a.midpoint(b).to_array())
+}
+
+/// The length of a way through points, world units.
+pub(crate) fn length(points: &[[f32; 3]]) -> f64 {
+    let distance = |pair: &[[f32; 3]]| {
+        let [a, b] = [pair[0], pair[1]].map(|p| glam::DVec3::from_array(p.map(f64::from)));
+        a.distance(b)
+    };
+    // An empty sum of floats is −0.
+    points.windows(2).map(distance).sum::<f64>().abs()
+}
+
+/// The angle at the second of three points, degrees.
+pub(crate) fn angle_degrees(points: &[[f32; 3]]) -> f64 {
+    let [a, at, b] = [0, 1, 2].map(|i| {
+        let p = points.get(i).copied().unwrap_or_default();
+        glam::DVec3::from_array(p.map(f64::from))
+    });
+    let (a, b) = (a - at, b - at);
+    a.cross(b).length().atan2(a.dot(b)).to_degrees()
+}
+
+/// How lengths of a volume are told.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LengthScale<'a> {
+    /// Unit of the spacing, if known.
+    pub(crate) unit: Option<&'a str>,
+    /// Length of a voxel's shortest edge, world units.
+    pub(crate) finest: f32,
+}
+
+impl LengthScale<'_> {
+    /// A length with its unit, to a tenth of a voxel.
+    pub(crate) fn length(&self, length: f64) -> String {
+        let decimals = (1.0 - f64::from(self.finest).log10()).ceil().clamp(0.0, 6.0) as usize;
+        let number = match length != 0.0 && length < 0.5 * 0.1f64.powi(6) {
+            true => format!("{length:.3e}"),
+            false => format!("{length:.decimals$}"),
+        };
+        format!("{number} {}", self.unit.unwrap_or("units"))
+    }
+
+    /// What a measurement says.
+    pub(crate) fn told(&self, measure: &SavedMeasure) -> String {
+        match measure.kind {
+            MeasureKind::Angle => format!("{:.1}°", angle_degrees(&measure.points)),
+            _ => self.length(length(&measure.points)),
+        }
+    }
+}
+
+/// Colour of lines and points.
+const LINE: Color32 = Color32::from_rgb(255, 205, 90);
+/// A release nearer to its press is a click, points.
+const CLICK_POINTS: f32 = 4.0;
+/// The pointer takes points up to this distance, points.
+const GRAB_POINTS: f32 = 9.0;
+
+#[cfg(test)]
+mod tests {
+    use egui::{Modifiers, Rect, pos2};
+    use isinglass_core::camera::{Camera, Intrinsics, Pose};
+    use isinglass_core::space::Aabb;
+
+    use super::*;
+
+    /// Parallel rays along −z, ten points a world unit; the middle is at 100, 100.
+    fn view() -> ClipView {
+        let bounds = Aabb { min: Vec3::splat(-10.0), max: Vec3::splat(10.0) };
+        let intrinsics = Intrinsics::perspective(200, 200, 0.5);
+        let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.0, 0.0, 40.0), intrinsics, &bounds);
+        let depth = 10.0 / 0.25f32.tan();
+        let rect = Rect::from_min_size(pos2(0.0, 0.0), vec2(200.0, 200.0));
+        ClipView { rect, camera: camera.to_orthographic(depth, &bounds), bounds }
+    }
+
+    /// A wall at z = 2 that ends at the left of x = −5.
+    fn wall(at: Pos2) -> Option<Vec3> {
+        let p = Vec3::new((at.x - 100.0) / 10.0, (100.0 - at.y) / 10.0, 2.0);
+        (p.x > -5.0).then_some(p)
+    }
+
+    fn button(pos: Pos2, pressed: bool) -> Event {
+        Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE }
+    }
+
+    fn feed(editor: &mut MeasureEditor, mut events: Vec<Event>) -> usize {
+        editor.take_events(&mut events, &view(), wall, |_| true);
+        events.len()
+    }
+
+    fn click(editor: &mut MeasureEditor, x: f32, y: f32) {
+        feed(editor, vec![button(pos2(x, y), true), button(pos2(x + 1.0, y), false)]);
+    }
+
+    #[test]
+    fn clicks_measure_and_points_follow_the_hand() {
+        let mut editor = MeasureEditor::default();
+        click(&mut editor, 100.0, 100.0);
+        assert_eq!(editor.num_begun(), 0, "it is off");
+        editor.toggle();
+        click(&mut editor, 99.0, 100.0);
+        click(&mut editor, 20.0, 100.0);
+        assert_eq!(editor.num_begun(), 1, "nothing is visible there");
+        click(&mut editor, 129.0, 140.0);
+        assert_eq!(editor.measures().len(), 1);
+        assert!((length(&editor.measures()[0].points) - 5.0).abs() < 1e-5, "{:?}", editor.measures());
+        // A drag beside the points is the camera's.
+        let at = |x, y| Event::PointerMoved(pos2(x, y));
+        let camera = vec![button(pos2(60.0, 60.0), true), at(90.0, 60.0), button(pos2(90.0, 60.0), false)];
+        assert_eq!((feed(&mut editor, camera), editor.num_begun()), (3, 0));
+        let drag =
+            vec![button(pos2(131.0, 139.0), true), at(150.0, 100.0), button(pos2(160.0, 100.0), false)];
+        assert_eq!(feed(&mut editor, drag), 1, "the camera sees no press");
+        assert!((length(&editor.measures()[0].points) - 6.0).abs() < 1e-5);
+        // Off the wall there is nowhere to go.
+        feed(
+            &mut editor,
+            vec![button(pos2(160.0, 100.0), true), at(10.0, 100.0), button(pos2(10.0, 100.0), false)],
+        );
+        assert!((length(&editor.measures()[0].points) - 6.0).abs() < 1e-5);
+        editor.remove(0);
+        editor.remove(7);
+        assert!(editor.measures().is_empty());
+    }
+
+    #[test]
+    fn angles_take_three_points_and_paths_end_where_they_are_clicked_twice() {
+        let mut editor = MeasureEditor { is_on: true, kind: MeasureKind::Angle, ..Default::default() };
+        for (x, y) in [(149.0, 100.0), (99.0, 100.0), (99.0, 50.0)] {
+            click(&mut editor, x, y);
+        }
+        assert!((angle_degrees(&editor.measures()[0].points) - 90.0).abs() < 1e-4);
+        editor.choose(MeasureKind::Path);
+        for (x, y) in [(60.0, 150.0), (100.0, 150.0), (100.0, 180.0)] {
+            click(&mut editor, x, y);
+        }
+        assert_eq!((editor.measures().len(), editor.num_begun()), (1, 3));
+        click(&mut editor, 100.0, 180.0);
+        assert!((length(&editor.measures()[1].points) - 7.0).abs() < 1e-4);
+        click(&mut editor, 100.0, 20.0);
+        editor.finish();
+        assert_eq!(editor.num_begun(), 1, "one point is no path");
+        editor.give_up();
+        assert_eq!(editor.num_begun(), 0);
+        // No more than a state holds.
+        editor.choose(MeasureKind::Distance);
+        let state = editor.measures()[0].clone();
+        editor.set(vec![state; MAX_MEASURES]);
+        click(&mut editor, 160.0, 20.0);
+        assert_eq!((editor.num_begun(), editor.measures().len()), (0, MAX_MEASURES));
+    }
+
+    #[test]
+    fn lengths_are_told_in_the_unit_of_the_file() {
+        let scale = LengthScale { unit: Some("mm"), finest: 0.5 };
+        let measure = |kind, points: &[[f32; 3]]| SavedMeasure { kind, points: points.to_vec() };
+        let three_four = [[0.0; 3], [3.0, 0.0, 0.0], [3.0, 0.0, 4.0]];
+        assert_eq!(scale.told(&measure(MeasureKind::Distance, &[[0.0; 3], [3.0, 4.0, 12.0]])), "13.00 mm");
+        assert_eq!(scale.told(&measure(MeasureKind::Path, &three_four)), "7.00 mm");
+        assert_eq!(scale.told(&measure(MeasureKind::Angle, &three_four)), "90.0°");
+        let scale = LengthScale { unit: None, finest: 3.0 };
+        assert_eq!(scale.length(1e-9), "1.000e-9 units");
+        assert_eq!(scale.length(0.0), "0.0 units");
+        assert_eq!(angle_degrees(&[[1.0; 3]; 3]), 0.0, "points in one place");
+    }
+}

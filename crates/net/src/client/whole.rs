@@ -1,0 +1,75 @@
+//! Receives screenshots and slices, whose streams count only as a whole.
+
+use isinglass_core::wire::screenshot::{MAX_SCREENSHOT_BYTES, SCREENSHOT_HEADER_BYTES, screenshot_id};
+use isinglass_core::wire::slice::{MAX_SLICE_BYTES, decode_slice, slice_id};
+use quinn::RecvStream;
+
+use super::Shared;
+use super::chunks::Budget;
+use crate::transport::STOP_UNUSABLE;
+
+/// Reads the rest of a screenshot's stream that began with `bytes`, unless nobody waits for the picture.
+pub(super) async fn read_screenshot(
+    shared: &Shared,
+    stream: RecvStream,
+    bytes: Vec<u8>,
+    budget: Budget,
+) -> Result<(), String> {
+    let Some(id) = screenshot_id(&bytes) else { return Ok(()) };
+    let is_wanted = || shared.talk.lock_quietly().screenshot.wants(id);
+    match read(stream, bytes, budget, MAX_SCREENSHOT_BYTES, is_wanted).await {
+        Ok(None) => {}
+        Ok(Some(mut bytes)) => {
+            bytes.drain(..SCREENSHOT_HEADER_BYTES);
+            shared.talk.lock().screenshot.handle_png(id, bytes);
+            (shared.wake)();
+        }
+        Err(why) => {
+            shared.talk.lock().screenshot.handle_failed(id, why.clone());
+            (shared.wake)();
+            return Err(why);
+        }
+    }
+    Ok(())
+}
+
+/// Reads the rest of a slice's stream that began with `bytes`, unless nobody waits for the slice.
+pub(super) async fn read_slice(
+    shared: &Shared,
+    stream: RecvStream,
+    bytes: Vec<u8>,
+    budget: Budget,
+) -> Result<(), String> {
+    let Some(id) = slice_id(&bytes) else { return Ok(()) };
+    let is_wanted = || shared.talk.lock_quietly().slices.wants(id);
+    let Some(bytes) = read(stream, bytes, budget, MAX_SLICE_BYTES, is_wanted).await? else { return Ok(()) };
+    // Unpacking takes longer than the network should wait.
+    let unpacked = tokio::task::spawn_blocking(move || decode_slice(&bytes)).await;
+    let slice = unpacked.map_err(|e| e.to_string())?.map_err(|e| e.to_string())?;
+    shared.talk.lock_quietly().slices.handle_slice(id, slice);
+    (shared.wake)();
+    Ok(())
+}
+
+/// The whole stream; `None` if nobody waits for it any more, or if it was reset.
+async fn read(
+    mut stream: RecvStream,
+    mut bytes: Vec<u8>,
+    mut budget: Budget,
+    most: usize,
+    is_wanted: impl Fn() -> bool,
+) -> Result<Option<Vec<u8>>, String> {
+    while let Ok(next) = stream.read_chunk(usize::MAX, true).await {
+        let Some(part) = next else { return Ok(Some(bytes)) };
+        let is_bounded = bytes.len() + part.bytes.len() <= most && budget.take(part.bytes.len());
+        if !is_bounded || !is_wanted() {
+            let _ = stream.stop(STOP_UNUSABLE);
+            return match is_bounded {
+                true => Ok(None),
+                false => Err(format!("a stream of more than {} bytes is not read", bytes.len())),
+            };
+        }
+        bytes.extend_from_slice(&part.bytes);
+    }
+    Ok(None)
+}
