@@ -133,7 +133,7 @@ impl<S: FrameSource> ViewerApp<S> {
                     Some((text, false)) => banner::news(&ctx, &text, self.room_at_bottom()),
                     // Beside slices there is no room for them.
                     None if self.shows_bars && !self.slices.is_on() => {
-                        self.hints.show(&ctx, self.room_at_bottom())
+                        self.hints.show(&ctx, self.room_at_bottom());
                     }
                     None => {}
                 }

@@ -148,9 +148,9 @@ fn a_drag_with_the_right_button_sets_window_and_level_without_the_server() {
     assert!(width(wider) > width(first) * 1.2, "{first:?} {wider:?}");
     assert!(((wider.0 + wider.1) - (first.0 + first.1)).abs() < 1e-3 * width(first), "the level stays");
     drag_with(&mut w, PointerButton::Secondary, at, vec2(0.0, 40.0));
-    let brighter = w.state().slices.window_of(&scale);
-    assert!((width(brighter) - width(wider)).abs() < 1e-3 * width(wider), "the width stays");
-    assert!(brighter.0 > wider.0 && brighter.1 > wider.1);
+    let darker = w.state().slices.window_of(&scale);
+    assert!((width(darker) - width(wider)).abs() < 1e-3 * width(wider), "the width stays");
+    assert!(darker.0 > wider.0 && darker.1 > wider.1);
     assert_eq!(w.state().viewing.source().here().num_looks, looks);
     assert_eq!(w.state().viewing.source().here().num_slice_lists, lists, "nothing is said to the server");
     w.get_by_label("auto").click();
