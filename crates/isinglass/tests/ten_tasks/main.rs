@@ -58,6 +58,18 @@ impl<'a> Desk<'a> {
         (self.screen.shot(self.window, SIZE), pose)
     }
 
+    /// Opens the only volume of the folder from the start page. The page and its list take their time.
+    fn open_first_file(&mut self) {
+        let patience = Instant::now() + Duration::from_secs(120);
+        while self.viewer.refreshes().is_empty() {
+            assert!(Instant::now() < patience, "the file does not open");
+            self.screen.click(self.window, CHOOSE_FILE[0], CHOOSE_FILE[1]);
+            self.screen.click(self.window, FIRST_ROW[0], FIRST_ROW[1]);
+            self.key("Enter");
+            std::thread::sleep(Duration::from_millis(700));
+        }
+    }
+
     fn key(&self, chord: &str) {
         self.screen.key(self.window, chord);
     }
@@ -87,7 +99,8 @@ fn ten_tasks_of_a_new_user() {
     let screen = Screen::open();
 
     // 1. Open a file.
-    let mut desk = Desk::open(&bench, &screen, "view ball.nrrd --backend cpu");
+    let mut desk = Desk::open(&bench, &screen, "view --backend cpu");
+    desk.open_first_file();
     let (first, at_first) = desk.rest();
 
     // 2. Turn it.
@@ -97,7 +110,23 @@ fn ten_tasks_of_a_new_user() {
     assert!((10.0..60.0).contains(&degrees), "{degrees}");
     assert!(difference(&first, &turned) > CHANGED);
 
-    // 3. A better picture: another mode.
+    // 3. Slices beside it.
+    desk.key("x");
+    let (slices, _) = desk.rest();
+    assert!(difference(&turned, &slices) > CHANGED);
+    desk.key("x");
+    desk.rest();
+
+    // 4. Measure between two points of the ball.
+    desk.key("d");
+    for [x, y] in [[420, 320], [480, 330]] {
+        screen.click(desk.window, x, y);
+    }
+    desk.rest();
+    desk.key("d");
+    desk.rest();
+
+    // 5. A better picture: another mode.
     desk.key("m");
     let (mip, _) = desk.rest();
     assert!(difference(&turned, &mip) > CHANGED);
@@ -116,7 +145,12 @@ fn ten_tasks_of_a_new_user() {
     let clip = state.look.as_ref().unwrap().clip.bounds.unwrap();
     assert!(clip.max.y < 10.0 && clip.min.y == -16.0, "{clip:?}");
 
-    // 9. A picture of it as a file.
+    let measures = state.measures.unwrap();
+    let [a, b] = measures[0].points[..] else { panic!("{measures:?}") };
+    let distance = glam::Vec3::from(a).distance(b.into());
+    assert!((1.0..24.0).contains(&distance), "{distance}");
+
+    // 8. A picture of it as a file.
     desk.key("F12");
     let picture = wait_for(&bench, ".png");
     bench.ok("render --state ball.nrrd.state.toml -o full.png --backend cpu");
@@ -126,7 +160,7 @@ fn ten_tasks_of_a_new_user() {
     assert!(largest <= Some(1), "{largest:?}");
     drop(desk);
 
-    // 8. Open it again.
+    // 9. Open it again.
     let mut desk = Desk::open(&bench, &screen, "view --state ball.nrrd.state.toml --backend cpu");
     let (again, at_again) = desk.rest();
     assert!(is_same(&at_again, &at_turned), "{at_again:?}, {at_turned:?}");
@@ -211,6 +245,9 @@ fn has_adapter() -> bool {
 const SIZE: [u16; 2] = [900, 640];
 /// Where the hand takes the volume.
 const START: [i16; 2] = [400, 330];
+/// The button of the start page, and the first row of the list that it opens.
+const CHOOSE_FILE: [i16; 2] = [100, 136];
+const FIRST_ROW: [i16; 2] = [300, 134];
 /// The clip handle at the top after the turn.
 const TOP_HANDLE: [i16; 2] = [474, 168];
 /// Exact refreshes in a row that make a rest.

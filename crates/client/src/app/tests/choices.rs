@@ -30,11 +30,7 @@ fn fast() -> HereSource {
 }
 
 /// Waits for a file that holds what is expected. Threads write it.
-fn wait_for(
-    w: &mut Harness<'_, ViewerApp<HereSource>>,
-    file: &Path,
-    is_there: fn(&Remembered) -> bool,
-) {
+fn wait_for(w: &mut Harness<'_, ViewerApp<HereSource>>, file: &Path, is_there: fn(&Remembered) -> bool) {
     for _ in 0..2000 {
         w.step();
         if Remembered::read(file).is_ok_and(|read| is_there(&read)) {

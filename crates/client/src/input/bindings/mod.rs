@@ -473,6 +473,7 @@ const TABLE: &[Line] = &[
     fixed("in the stops: as in the curve", "choose, move, add and remove colours"),
     task("Measure, cut, watch"),
     keys("place and value under the pointer", &[("probe", Deed::Act(Action::Probe), &["p"])]),
+    keys("measure distances, angles, paths and values", &[("measure", Deed::Act(Action::Measure), &["d"])]),
     keys("clip: handles to drag on or off", &[("clip", Deed::Act(Action::Clip), &["c"])]),
     keys("slices beside the picture on or off", &[("slices", Deed::Act(Action::Slices), &["x"])]),
     fixed("on a slice: click, drag", "move the common point"),
