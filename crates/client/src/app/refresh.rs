@@ -131,7 +131,10 @@ impl<S: FrameSource> ViewerApp<S> {
                         banner::trouble(&ctx, &text, model.details().as_deref(), takes_link, room);
                     }
                     Some((text, false)) => banner::news(&ctx, &text, self.room_at_bottom()),
-                    None if self.shows_bars => self.hints.show(&ctx, self.room_at_bottom()),
+                    // Beside slices there is no room for them.
+                    None if self.shows_bars && !self.slices.is_on() => {
+                        self.hints.show(&ctx, self.room_at_bottom())
+                    }
                     None => {}
                 }
             }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use egui::{
-    Align2, Color32, FontId, Key, Mesh, PointerButton, Pos2, Rect, Role, Sense, Stroke, Ui, pos2, vec2,
+    Align2, Color32, Event, FontId, Key, Mesh, PointerButton, Pos2, Rect, Role, Sense, Stroke, Ui, pos2, vec2,
 };
 use glam::Vec3;
 use isinglass_core::volume::{Slice, SliceGrid};
@@ -28,6 +28,8 @@ pub(crate) struct Pane {
     texture: SliceTexture,
     /// Parts of a notch of the wheel.
     wheel: f32,
+    /// The button that drags level and window, and where the pointer was last.
+    window_from: Option<(PointerButton, Pos2)>,
 }
 
 /// What a pane is shown with.
@@ -166,15 +168,14 @@ impl Pane {
         let id = egui::Id::unique("slice pane").with(number);
         let response = ui.interact(scene.rect, id, Sense::click_and_drag());
         named(&response, Role::Image, name);
-        let shift = ui.input(|i| i.modifiers.shift);
         let is_over = response.contains_pointer();
         let is_down =
             |button| response.is_pointer_button_down_on() && ui.input(|i| i.pointer.button_down(button));
         let at = response.interact_pointer_pos();
-        let drags_window = is_down(PointerButton::Secondary) || (is_down(PointerButton::Primary) && shift);
-        if drags_window {
-            let moved = response.drag_delta();
-            input.window = (moved != egui::Vec2::ZERO).then_some([moved.x, moved.y]);
+        let events = ui.input(|i| i.events.clone());
+        input.window = self.window_drag(&events, |at| is_over && scene.rect.contains(at));
+        if self.window_from.is_some() || input.window.is_some() {
+            // The point stays.
         } else if let Some(at) = at.filter(|_| is_down(PointerButton::Primary) || response.clicked()) {
             let found = clamped(stack, place.world(stack, point, at));
             input.point = (found != point).then_some(found);
@@ -184,11 +185,11 @@ impl Pane {
         }
         input.is_double = response.double_clicked();
         if is_over {
-            for event in ui.input(|i| i.events.clone()) {
-                if let egui::Event::MouseWheel { unit, delta, modifiers, .. } = event
+            for event in &events {
+                if let Event::MouseWheel { unit, delta, modifiers, .. } = event
                     && !modifiers.command
                 {
-                    self.wheel += notches_of(unit, delta.y);
+                    self.wheel += notches_of(*unit, delta.y);
                 }
             }
             input.pages += self.wheel.trunc() as i32;
@@ -214,6 +215,34 @@ impl Pane {
         }
         input.is_active = is_over || response.gained_focus();
         input
+    }
+
+    /// How far the pointer is dragged with the right button, or with shift; points. This reads the events, so a drag
+    /// counts that begins and ends between two slow refreshes.
+    fn window_drag(&mut self, events: &[Event], begins_at: impl Fn(Pos2) -> bool) -> Option<[f32; 2]> {
+        let mut moved = egui::Vec2::ZERO;
+        for event in events {
+            let from = self.window_from;
+            match event {
+                Event::PointerMoved(to) => {
+                    if let Some((button, from)) = from {
+                        moved += *to - from;
+                        self.window_from = Some((button, *to));
+                    }
+                }
+                Event::PointerButton { pos, button, pressed: true, modifiers } if from.is_none() => {
+                    let is_own = *button == PointerButton::Secondary
+                        || (*button == PointerButton::Primary && modifiers.shift);
+                    self.window_from = (is_own && begins_at(*pos)).then_some((*button, *pos));
+                }
+                Event::PointerButton { button, pressed: false, .. } => {
+                    self.window_from.take_if(|(held, _)| held == button);
+                }
+                Event::WindowFocused(false) => self.window_from = None,
+                _ => {}
+            }
+        }
+        (moved != egui::Vec2::ZERO).then_some([moved.x, moved.y])
     }
 
     /// The name of the plane, and the others behind it.
