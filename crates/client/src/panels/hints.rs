@@ -3,7 +3,7 @@
 use egui::{Align2, RichText, vec2};
 use lucide_icons::Icon;
 
-use super::style::{bright, icon, pane};
+use super::style::{accent, bright, icon, pane};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Hint {
@@ -62,19 +62,28 @@ impl Hints {
         let area = area.anchor(Align2::CENTER_BOTTOM, vec2(0.0, -12.0)).interactable(false);
         area.show(ctx, |ui| {
             pane(ctx).show(ui, |ui| {
-                ui.set_max_width((room.width() - 40.0).max(100.0));
-                ui.horizontal_wrapped(|ui| {
-                    ui.spacing_mut().item_spacing = vec2(16.0, 4.0);
-                    for hint in &self.left {
-                        let (symbol, text) = hint.text();
-                        ui.horizontal(|ui| {
-                            ui.spacing_mut().item_spacing.x = 6.0;
-                            ui.label(icon(symbol).color(super::style::accent(ctx)));
-                            ui.label(RichText::new(text).color(bright(ctx)));
-                        });
-                    }
-                });
+                // One line, or one below the other where that has no room.
+                if room.width() >= LEAST_WIDTH_OF_LINE {
+                    ui.horizontal(|ui| self.lines(ui));
+                } else {
+                    ui.vertical(|ui| self.lines(ui));
+                }
             });
         });
     }
+
+    fn lines(&self, ui: &mut egui::Ui) {
+        ui.spacing_mut().item_spacing = vec2(16.0, 4.0);
+        for hint in &self.left {
+            let (symbol, text) = hint.text();
+            ui.horizontal(|ui| {
+                ui.spacing_mut().item_spacing.x = 6.0;
+                ui.label(icon(symbol).color(accent(ui.ctx())));
+                ui.label(RichText::new(text).color(bright(ui.ctx())));
+            });
+        }
+    }
 }
+
+/// The hints are in one line in rooms at least this wide, points.
+const LEAST_WIDTH_OF_LINE: f32 = 480.0;
