@@ -5,10 +5,11 @@
 #
 # VOLUMES is a folder with avm.nrrd, bonsai.nrrd, heptane.nrrd, mouse_brain.nrrd, and tooth.nhdr with tooth.raw.
 # docs/BENCHMARKS.md and docs/GUIDE.md name their origins. ISINGLASS is the program; without it a release build is made.
-# NAMEs, such as viewer or guide-mip, select pictures. The script needs Xvfb, xdotool, xwd and ImageMagick.
+# NAMEs, such as viewer or guide-mip, select pictures. `tour` alone makes pictures to look at and not to keep, in
+# target/tour: each kind of page, size and theme. The script needs Xvfb, xdotool, xwd and ImageMagick.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-[ $# -ge 1 ] || { sed -n '2,8p' "$0"; exit 2; }
+[ $# -ge 1 ] || { sed -n '2,9p' "$0"; exit 2; }
 volumes=$(realpath "$1")
 program=${2:-}
 chosen=" ${*:3} "
@@ -28,7 +29,8 @@ mkfifo "$home/display"
 exec 3<>"$home/display"
 mkdir "$home/scans"
 for name in avm.nrrd bonsai.nrrd heptane.nrrd mouse_brain.nrrd tooth.nhdr tooth.raw; do
-    cp "$(find "$volumes" -name "$name" | head -n 1)" "$home/scans/"
+    found=$(find "$volumes" -name "$name" | head -n 1)
+    [ -z "$found" ] || cp "$found" "$home/scans/"
 done
 
 # The bonsai upright, from aside and a little above; without the table that the scanner saw below it.
@@ -93,6 +95,38 @@ picture() {
     echo "docs/$name.png"
 }
 
+# look NAME WxH KEYS ARGUMENTS…: the window at rest in target/tour, after each of KEYS was pressed.
+look() {
+    local name=$1 size=$2 keys=$3
+    shift 3
+    open "$size" "$@" --size "$size"
+    settle
+    for key in $keys; do
+        xdotool search --onlyvisible --name isinglass windowfocus key "$key"
+        settle
+    done
+    import -window root -depth 8 -strip "target/tour/$name.png"
+    close
+    echo "target/tour/$name.png"
+}
+
+# tour: what a user meets, page by page.
+tour() {
+    mkdir -p target/tour
+    look start 1100x760 "" view
+    for volume in avm bonsai heptane mouse_brain; do
+        look "first-$volume" 1280x800 "" view "$volume.nrrd" --backend cpu
+    done
+    look slices 1280x800 x view avm.nrrd --backend cpu
+    look measure 1280x800 d view bonsai.nrrd --backend cpu
+    look help 1280x800 h view bonsai.nrrd --backend cpu
+    for theme in dark light; do
+        look "$theme" 1280x800 "" view bonsai.nrrd --backend cpu --theme "$theme"
+        look "small-$theme" 700x500 "" view bonsai.nrrd --backend cpu --theme "$theme"
+    done
+    WINIT_X11_SCALE_FACTOR=2 look double 1400x1000 "" view bonsai.nrrd --backend cpu
+}
+
 # moving NAME ARGUMENTS…: a drag to both sides and back, in real time, until the first picture is there again.
 moving() {
     local name=$1
@@ -125,6 +159,10 @@ moving() {
     echo "docs/$name.webp"
 }
 
+if [ "$chosen" = " tour " ]; then
+    tour
+    exit
+fi
 picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
 moving viewer demo "${bonsai[@]}" --rtt 200ms --bars off --size 640x420
 picture guide-start "" view

@@ -185,9 +185,9 @@ fn mistakes_are_one_line_that_names_file_line_and_key() {
         assert_failed(name, &output, 1, words);
     }
     let mut command = bench.command("view --print-config");
-    command.env("ISINGLASS_BINDINGS_FIRST_VIEW", "Home, f").env("ISINGLASS_OTHER_THING", "1");
+    command.env("ISINGLASS_BINDINGS_FIRST_VIEW", "Home, j").env("ISINGLASS_OTHER_THING", "1");
     let held = printed(&String::from_utf8(command.output().unwrap().stdout).unwrap());
-    let expected = ("[\"Home\", \"f\"]".to_owned(), "ISINGLASS_BINDINGS_FIRST_VIEW".to_owned());
+    let expected = ("[\"Home\", \"j\"]".to_owned(), "ISINGLASS_BINDINGS_FIRST_VIEW".to_owned());
     assert_eq!(held["bindings.first-view"], expected);
     // What belongs to the other file is told, not ignored.
     bench.write("etc/server.toml", "[window]\nfov = 30\n");

@@ -29,7 +29,8 @@ use glam::Vec3;
 use isinglass_client::DEFAULT_FOV_Y_DEGREES;
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::image_error::{ImageError, compare};
-use isinglass_formats::{SavedCamera, SavedState};
+use isinglass_core::volume::Lighting;
+use isinglass_formats::{Remembered, SavedCamera, SavedState};
 use isinglass_net::{Link, LinkModel};
 
 use common::{Bench, Running, has_display};
@@ -60,6 +61,10 @@ fn the_picture_follows_the_hand_over_a_bad_link() {
         return;
     }
     let bench = Bench::new();
+    // Without the light that a window begins with, as `render` shows it.
+    let choices = Remembered { light: Some(Lighting::default()), ..Remembered::default() };
+    std::fs::create_dir_all(bench.path("remembered/isinglass")).unwrap();
+    bench.write("remembered/isinglass/choices.toml", choices.to_toml());
     let (server, link) = serve(&bench);
     let ms = Duration::from_millis;
     let model = LinkModel { rtt: ms(200), jitter: ms(10), loss: 0.01, ..LinkModel::default() };
