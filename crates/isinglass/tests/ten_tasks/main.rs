@@ -163,9 +163,14 @@ fn ten_tasks_of_a_new_user() {
 
     // 9. Open it again.
     let mut desk = Desk::open(&bench, &screen, "view --state ball.nrrd.state.toml --backend cpu");
-    let (again, at_again) = desk.rest();
+    let (_, at_again) = desk.rest();
     assert!(is_same(&at_again, &at_turned), "{at_again:?}, {at_turned:?}");
-    assert!(difference(&again, &clipped) < 0.5 * difference(&again, &mip), "it is cut, without the handles");
+    // The picture is painted once the display's pipelines are compiled. It is the same but for handles and hints.
+    desk.viewer.wait("picture of the state", |_| {
+        std::thread::sleep(Duration::from_millis(200));
+        let again = screen.shot(desk.window, SIZE);
+        (difference(&again, &clipped) < 0.6 * difference(&again, &first)).then_some(())
+    });
     drop(desk);
 
     // 10. Connect again to a server that died and was started anew.
