@@ -7,7 +7,7 @@
 //! | [`PoseRequest`] | client to server | datagram, in `wire/pose.rs` |
 //! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
 //! | picture to keep | server to client | one unidirectional stream each; see [`screenshot`] |
-//! | slice through the volume | server to client | one unidirectional stream each; see [`slice`] |
+//! | slice through the volume | server to client | one unidirectional stream each; see [`mod@slice`] |
 
 pub mod control;
 mod pose;
