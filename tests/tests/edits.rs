@@ -1,6 +1,4 @@
-//! How soon is an edit of the look on the screen, and what comes first?
-//!
-//! The figures of a real volume: `cargo test --release -p isinglass-tests --test edits -- --ignored --nocapture`.
+//! Is an edit of the look on the screen before the next one, and exact in the end?
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -13,31 +11,25 @@ use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::transfer::Domain;
+use isinglass_core::volume::Histogram;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::volume::{Histogram, Volume};
-use isinglass_formats::{OpenOptions, default_transfer, open};
+use isinglass_formats::default_transfer;
 use isinglass_net::{Client, ClientOptions};
 use isinglass_render::Backend;
 use isinglass_server::{ServeOptions, Timing, start};
-use isinglass_tests::data_dir;
 
-/// When frames of a new look appeared, and how many lists they had.
+/// A frame of a new look.
 struct Seen {
-    at: Duration,
     num_lists: usize,
     is_exact: bool,
 }
 
-/// Shows a volume until it is exact, and then makes edits, `pause` apart. Returns what was seen after each.
-fn play(
-    (source, volume): (&str, Volume),
-    picture: Intrinsics,
-    edits: &[fn(&mut Look)],
-    pause: Option<Duration>,
-) -> Vec<Vec<Seen>> {
+/// Shows shells until it is exact, and then makes edits, `pause` apart. Returns what was seen after each.
+fn play(picture: Intrinsics, edits: &[fn(&mut Look)], pause: Option<Duration>) -> Vec<Vec<Seen>> {
     let mut threads = tokio::runtime::Builder::new_multi_thread();
     let runtime = threads.worker_threads(2).enable_all().build().unwrap();
-    let look = Look::new(default_transfer(source, &volume, &Histogram::of(&volume)));
+    let volume = Builtin::Shells.volume(40);
+    let look = Look::new(default_transfer("builtin:shells", &volume, &Histogram::of(&volume)));
     let bounds = volume.bounds();
     let options = ServeOptions {
         volume: Arc::new(volume),
@@ -76,7 +68,7 @@ fn play(
             let is_new = refresh.changed && refresh.older_look_since.is_none();
             if let Some(frame) = refresh.frame.filter(|_| is_new) {
                 let num_lists = frame.frame.header.camera.intrinsics.num_pixels();
-                of_edit.push(Seen { at: edited.elapsed(), num_lists, is_exact: frame.is_exact });
+                of_edit.push(Seen { num_lists, is_exact: frame.is_exact });
             }
             let is_over = pause.is_some_and(|pause| edited.elapsed() >= pause);
             if is_over || (refresh.standing == Standing::Exact && !of_edit.is_empty()) {
@@ -99,43 +91,13 @@ const EDITS: [fn(&mut Look); 5] = [
 #[test]
 fn every_edit_is_on_the_screen_and_exact_in_the_end() {
     let picture = Intrinsics::perspective(96, 64, 0.6);
-    let seen = play(("builtin:shells", Builtin::Shells.volume(40)), picture, &EDITS, None);
+    let seen = play(picture, &EDITS, None);
     for of_edit in &seen {
         let last = of_edit.last().unwrap();
         assert!(last.is_exact && last.num_lists >= picture.num_pixels());
     }
     // Edits that follow each other too fast for whole frames are seen all the same.
     let edits: Vec<fn(&mut Look)> = (0..40).map(|i| EDITS[i % 2]).collect();
-    let seen = play(
-        ("builtin:shells", Builtin::Shells.volume(40)),
-        picture,
-        &edits,
-        Some(Duration::from_millis(120)),
-    );
+    let seen = play(picture, &edits, Some(Duration::from_millis(120)));
     assert!(seen.iter().filter(|of_edit| !of_edit.is_empty()).count() > 10, "the editor starves");
-}
-
-/// Asserts nothing: times are those of the machine.
-#[test]
-#[ignore = "prints times of a real volume"]
-fn times_of_edits() {
-    let Some(folder) = data_dir() else { return };
-    let path = folder.join("mouse_brain.nrrd");
-    let volume = open(path.to_str().unwrap(), &OpenOptions::default()).unwrap();
-    let picture = Intrinsics::perspective(1230, 770, 0.6);
-    for pause in [None, Some(Duration::from_millis(1000))] {
-        for (i, of_edit) in
-            play(("mouse_brain.nrrd", volume.clone()), picture, &EDITS, pause).iter().enumerate()
-        {
-            let each = of_edit.iter().map(|s| {
-                format!(
-                    "{:.2} s {} k{}",
-                    s.at.as_secs_f32(),
-                    s.num_lists / 1000,
-                    if s.is_exact { "=" } else { "" }
-                )
-            });
-            eprintln!("edit {i} {pause:?}: {}", each.collect::<Vec<_>>().join(", "));
-        }
-    }
 }

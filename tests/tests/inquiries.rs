@@ -142,7 +142,7 @@ fn a_probe_tells_the_voxel_and_the_newest_question_wins() {
     };
     let answer = |client: &Client, point: Vec3| {
         let id = client.talk().probe.ask(point.to_array());
-        wait_for("the answer", || client.talk().probe.answer().filter(|p| p.id == id))
+        wait_for("the answer", || client.talk().probe.answer().copied().filter(|p| p.id == id))
     };
     let mut values = std::collections::BTreeSet::new();
     for index in [[12, 12, 12], [0, 23, 5], [7, 11, 16]] {
@@ -153,7 +153,7 @@ fn a_probe_tells_the_voxel_and_the_newest_question_wins() {
     }
     assert!(values.len() > 1, "negative control: not one value everywhere");
     assert_eq!(answer(&one, Vec3::splat(1e6)).voxel, None);
-    assert_eq!(other.talk().probe.answer(), None, "the other viewer is told nothing");
+    assert_eq!(other.talk().probe.answer().copied(), None, "the other viewer is told nothing");
     // A flood is no violation: only the newest is sent and answered.
     for i in 0..5000 {
         one.talk().probe.ask([i as f32, 0.0, 0.0]);

@@ -97,7 +97,7 @@ impl<S: FrameSource> ViewerApp<S> {
         if let Some(point) = self.probe.point_at(point) {
             source.talk().probe.ask(point.to_array());
         }
-        let answer = source.talk().probe.answer();
+        let answer = source.talk().probe.answer().copied();
         if let (Some(at), Some(point), Some(description)) = (at, point, source.description()) {
             probe::show(ctx, at, &probe::lines(point, answer.as_ref(), &description.volume));
         }

@@ -9,8 +9,8 @@
 //! - [`pose`]: the camera of the frames; [`look`]: their look; [`selection`]: the part of the file that they show.
 //! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they begin; [`chunks`]: what
 //!   is sent, given up and decoded.
-//! - [`probe`], [`screenshot`], [`slices`]: the value at a point, a picture to keep, and slices through the volume.
-//! - [`probe`], [`profile`]: the value at a point, the values along a line; [`screenshot`]: a picture to keep.
+//! - [`inquiry`]: a question about the volume. [`probe`], [`profile`]: the value at a point, the values along a line.
+//! - [`screenshot`]: a picture to keep; [`slices`]: slices through the volume.
 //! - [`ledger`]: the life of every frame, on either side.
 //! - [`pace`]: the newest of many values, at a bounded rate.
 //! - `pair`: both sides joined by a simulated link, for tests.
@@ -20,6 +20,7 @@ mod bucket;
 pub mod chunks;
 pub mod client;
 pub mod frames;
+pub mod inquiry;
 pub mod ledger;
 pub mod link;
 pub mod look;

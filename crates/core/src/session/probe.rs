@@ -5,110 +5,58 @@
 //! | [`ClientMessage::Probe`] | the point; at most 30 a second, the newest wins |
 //! | [`ServerMessage::Probed`] | the voxel there, if any |
 
-use super::pace::Pace;
+use super::inquiry::{InquiryClient, InquiryServer, Question};
 use crate::ids::ProbeId;
 use crate::volume::Volume;
 use crate::wire::{ClientMessage, ProbeRequest, Probed, ServerMessage};
 
 /// The client's half: the newest question and the newest answer.
-#[derive(Debug)]
-pub struct ProbeClient {
-    newest: ProbeId,
-    outbox: Pace<ProbeRequest>,
-    /// The newest question, until it is answered.
-    unanswered: Option<ProbeRequest>,
-    answer: Option<Probed>,
-}
+pub type ProbeClient = InquiryClient<ProbeRequest>;
 
-impl Default for ProbeClient {
-    fn default() -> Self {
-        Self { newest: ProbeId(0), outbox: Pace::new(PERIOD_MICROS), unanswered: None, answer: None }
-    }
-}
+/// The server's half: the newest question.
+pub type ProbeServer = InquiryServer<ProbeRequest>;
 
 impl ProbeClient {
     /// Asks for the value at a point in world space, unless it is not finite. Returns the number of the newest
     /// question.
     pub fn ask(&mut self, point: [f32; 3]) -> ProbeId {
-        if point.iter().all(|x| x.is_finite()) {
-            self.newest = self.newest.next();
-            self.unanswered = Some(ProbeRequest { id: self.newest, point });
-            self.outbox.offer(self.unanswered);
-        }
-        self.newest
-    }
-
-    /// The newest answer.
-    pub fn answer(&self) -> Option<Probed> {
-        self.answer
-    }
-
-    /// A connection is up: an unanswered question is asked again.
-    pub fn handle_welcome(&mut self) {
-        self.outbox.offer(self.unanswered);
-    }
-
-    /// A message has arrived. A new volume makes the old answer useless.
-    pub fn handle_message(&mut self, message: &ServerMessage) {
-        match message {
-            ServerMessage::Probed(answer) => self.handle_answer(*answer),
-            ServerMessage::VolumeChanged(_) => self.answer = None,
-            _ => {}
-        }
-    }
-
-    /// The server has answered.
-    pub fn handle_answer(&mut self, answer: Probed) {
-        self.unanswered.take_if(|asked| asked.id == answer.id);
-        self.answer = Some(answer);
-    }
-
-    /// The next message.
-    pub fn poll_message(&mut self, now_micros: u64) -> Option<ClientMessage> {
-        self.outbox.poll(now_micros).map(ClientMessage::Probe)
-    }
-
-    /// When to poll again, µs.
-    pub fn due(&self) -> Option<u64> {
-        self.outbox.due()
+        let is_good = point.iter().all(|x| x.is_finite());
+        self.ask_what(|id| is_good.then_some(ProbeRequest { id, point }))
     }
 }
 
-/// The server's half: the newest question.
-#[derive(Debug, Default)]
-pub struct ProbeServer {
-    asked: Option<ProbeRequest>,
-    answer: Option<Probed>,
+impl Question for ProbeRequest {
+    type Answer = Probed;
+    const PERIOD_MICROS: u64 = 33_334;
+
+    fn id(&self) -> ProbeId {
+        self.id
+    }
+
+    fn id_of(answer: &Probed) -> ProbeId {
+        answer.id
+    }
+
+    fn in_message(message: &ClientMessage) -> Option<Self> {
+        if let ClientMessage::Probe(question) = message { Some(*question) } else { None }
+    }
+
+    fn answer_in(message: &ServerMessage) -> Option<Probed> {
+        if let ServerMessage::Probed(answer) = message { Some(*answer) } else { None }
+    }
+
+    fn to_message(self) -> ClientMessage {
+        ClientMessage::Probe(self)
+    }
+
+    fn message_of(answer: Probed) -> ServerMessage {
+        ServerMessage::Probed(answer)
+    }
+
+    fn answer_from(&self, volume: &Volume) -> Probed {
+        self.answer(volume)
+    }
 }
-
-impl ProbeServer {
-    /// A message has arrived. Only the newest question remains.
-    pub fn handle_message(&mut self, message: &ClientMessage) {
-        if let ClientMessage::Probe(question) = message {
-            self.asked = Some(*question);
-        }
-    }
-
-    /// Whether a question waits for its answer.
-    pub fn is_asked(&self) -> bool {
-        self.asked.is_some()
-    }
-
-    /// Answers the question from the shown volume.
-    pub fn answer(&mut self, volume: &Volume) {
-        if let Some(question) = self.asked.take() {
-            self.answer = Some(question.answer(volume));
-        }
-    }
-
-    /// The next message.
-    pub fn poll_message(&mut self) -> Option<ServerMessage> {
-        self.answer.take().map(ServerMessage::Probed)
-    }
-}
-
-/// Questions go out at most 30 times a second.
-const PERIOD_MICROS: u64 = 33_334;
 
 #[cfg(test)]
 mod tests {
@@ -154,6 +102,6 @@ mod tests {
         let (look_version, look) = (crate::ids::LookVersion(2), crate::session::pair::look("second"));
         let change = crate::wire::VolumeChange { volume, look_version, look };
         client.handle_message(&ServerMessage::VolumeChanged(Box::new(change)));
-        assert_eq!(client.answer(), None);
+        assert!(client.answer().is_none());
     }
 }

@@ -1,14 +1,15 @@
-//! The viewer's process, and its log of refreshes.
+//! The processes of a server and a viewer, and the log of the viewer's refreshes.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use glam::{Quat, Vec3};
 use isinglass_core::camera::Pose;
+use isinglass_net::Link;
 
-use crate::common::{Bench, Running};
+use crate::common::{Bench, Running, has_display};
 
 /// A refresh as the viewer's log tells of it.
 #[derive(Clone, Copy, Debug)]
@@ -93,4 +94,24 @@ fn pose(text: &str) -> Option<Pose> {
     let [x, y, z, turn @ ..] = &numbers[..] else { return None };
     let turn = Quat::from_array(turn.try_into().unwrap());
     Some(Pose { eye: Vec3::new(*x, *y, *z), world_from_view: turn })
+}
+
+/// A server's process and the link that it prints.
+pub(crate) fn serve(bench: &Bench, volume: &str) -> (Running, Link) {
+    let mut command = bench.command(&format!("serve {volume} --listen 127.0.0.1:0 --backend cpu"));
+    let mut server = Running(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut link = String::new();
+    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut link).unwrap();
+    (server, link.trim().parse().unwrap())
+}
+
+/// Whether there is a display, and an adapter for the window to draw with. Strict mode fails without.
+pub(crate) fn has_window() -> bool {
+    if !has_display() {
+        return false;
+    }
+    let Err(e) = isinglass_gpu::Gpu::open() else { return true };
+    assert!(std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"), "{e}");
+    eprintln!("skipped: {e}");
+    false
 }

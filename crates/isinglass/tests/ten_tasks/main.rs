@@ -13,18 +13,16 @@ mod screen;
 #[path = "../common/viewer.rs"]
 mod viewer;
 
-use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
-use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use isinglass_core::camera::Pose;
 use isinglass_core::mode::Mode;
 use isinglass_formats::{SavedState, read_state};
 
-use common::{Bench, Running, has_display};
+use common::Bench;
 use screen::{Screen, Shot};
-use viewer::Viewer;
+use viewer::{Viewer, has_window, serve};
 
 /// A viewer with its window, and the screen that it is on.
 struct Desk<'a> {
@@ -92,7 +90,7 @@ impl<'a> Desk<'a> {
 
 #[test]
 fn ten_tasks_of_a_new_user() {
-    if !has_display() || !has_adapter() {
+    if !has_window() {
         return;
     }
     let bench = Bench::new();
@@ -174,27 +172,18 @@ fn ten_tasks_of_a_new_user() {
     drop(desk);
 
     // 10. Connect again to a server that died and was started anew.
-    let (server, link) = serve(&bench);
+    let (server, link) = serve(&bench, "ball.nrrd");
     let mut desk = Desk::open(&bench, &screen, &format!("view {link}"));
     desk.rest();
     desk.drag(START, [0, 40]);
     let (_, before) = desk.rest();
     drop(server);
     desk.viewer.wait("word of the dead server", |all| all.last().filter(|r| r.is_offline).map(drop));
-    let (_server, link) = serve(&bench);
+    let (_server, link) = serve(&bench, "ball.nrrd");
     desk.num_before = desk.viewer.refreshes().len();
-    desk.paste(&link);
+    desk.paste(&link.to_string());
     let (_, after) = desk.rest();
     assert!(is_same(&before, &after), "{before:?}, {after:?}");
-}
-
-/// A server's process and the link that it prints.
-fn serve(bench: &Bench) -> (Running, String) {
-    let mut command = bench.command("serve ball.nrrd --listen 127.0.0.1:0 --backend cpu");
-    let mut server = Running(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut link = String::new();
-    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut link).unwrap();
-    (server, link.trim().to_owned())
 }
 
 /// The file in the folder whose name ends so, once it is there.
@@ -237,14 +226,6 @@ fn difference(a: &Shot, b: &Shot) -> f64 {
 fn is_same(a: &Pose, b: &Pose) -> bool {
     a.world_from_view.angle_between(b.world_from_view) < 1e-3
         && (a.eye - b.eye).length() < 1e-3 * a.eye.length()
-}
-
-/// Whether there is an adapter for the window to draw with. Strict mode fails without.
-fn has_adapter() -> bool {
-    let Err(e) = isinglass_gpu::Gpu::open() else { return true };
-    assert!(std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"), "{e}");
-    eprintln!("skipped: {e}");
-    false
 }
 
 /// Columns and rows of the window.

@@ -20,9 +20,7 @@ mod screen;
 #[path = "../common/viewer.rs"]
 mod viewer;
 
-use std::io::{BufRead, BufReader};
 use std::ops::RangeInclusive;
-use std::process::Stdio;
 use std::time::Duration;
 
 use glam::Vec3;
@@ -33,10 +31,10 @@ use isinglass_core::volume::Lighting;
 use isinglass_formats::{Remembered, SavedCamera, SavedState};
 use isinglass_net::{Link, LinkModel};
 
-use common::{Bench, Running, has_display};
+use common::Bench;
 use relay::Relay;
 use screen::{Screen, Shot};
-use viewer::Viewer;
+use viewer::{Viewer, has_window, serve};
 
 /// A picture of the window while the hand moves.
 struct Seen {
@@ -57,7 +55,7 @@ struct Drag {
 
 #[test]
 fn the_picture_follows_the_hand_over_a_bad_link() {
-    if !has_display() || !has_adapter() {
+    if !has_window() {
         return;
     }
     let bench = Bench::new();
@@ -65,7 +63,7 @@ fn the_picture_follows_the_hand_over_a_bad_link() {
     let choices = Remembered { light: Some(Lighting::default()), ..Remembered::default() };
     std::fs::create_dir_all(bench.path("remembered/isinglass")).unwrap();
     bench.write("remembered/isinglass/choices.toml", choices.to_toml());
-    let (server, link) = serve(&bench);
+    let (server, link) = serve(&bench, VOLUME);
     let ms = Duration::from_millis;
     let model = LinkModel { rtt: ms(200), jitter: ms(10), loss: 0.01, ..LinkModel::default() };
     let relay = Relay::new(link.place().parse().unwrap(), &model);
@@ -110,15 +108,6 @@ fn the_picture_follows_the_hand_over_a_bad_link() {
         let other = error(shot, &full_rendering(&bench, &other));
         assert!(other.max_abs_255 > 1, "negative control: the other end of the drag is another picture");
     }
-}
-
-/// A server's process and the link that it prints.
-fn serve(bench: &Bench) -> (Running, Link) {
-    let mut command = bench.command(&format!("serve {VOLUME} --listen 127.0.0.1:0 --backend cpu"));
-    let mut server = Running(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut link = String::new();
-    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut link).unwrap();
-    (server, link.trim().parse().unwrap())
 }
 
 /// Waits until the picture is said to be exact. The picture and its pose.
@@ -206,14 +195,6 @@ fn full_rendering(bench: &Bench, pose: &Pose) -> Shot {
     bench.ok(&format!("render {VOLUME} --state pose.toml -o full.png --backend cpu"));
     let picture = image::open(bench.path("full.png")).unwrap().to_rgb8();
     Shot { size: [picture.width(), picture.height()], rgb: picture.into_raw() }
-}
-
-/// Whether there is an adapter for the window to draw with. Strict mode fails without.
-fn has_adapter() -> bool {
-    let Err(e) = isinglass_gpu::Gpu::open() else { return true };
-    assert!(std::env::var("ISINGLASS_STRICT").as_deref() != Ok("1"), "{e}");
-    eprintln!("skipped: {e}");
-    false
 }
 
 /// Soft, so that a turn changes all of it.

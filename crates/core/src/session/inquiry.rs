@@ -1,0 +1,129 @@
+//! A question about the shown volume, and its answer: the newest question counts.
+
+use super::pace::Pace;
+use crate::ids::ProbeId;
+use crate::volume::Volume;
+use crate::wire::{ClientMessage, ServerMessage};
+
+/// What a client can ask of the shown volume.
+pub trait Question: Copy {
+    /// The answer.
+    type Answer;
+    /// Least time between two questions, µs.
+    const PERIOD_MICROS: u64;
+
+    /// Number of the question.
+    fn id(&self) -> ProbeId;
+    /// Number of the question that was answered.
+    fn id_of(answer: &Self::Answer) -> ProbeId;
+    /// The question in a message, if it is one.
+    fn in_message(message: &ClientMessage) -> Option<Self>;
+    /// The answer in a message, if it is one.
+    fn answer_in(message: &ServerMessage) -> Option<Self::Answer>;
+    /// The question as a message.
+    fn to_message(self) -> ClientMessage;
+    /// An answer as a message.
+    fn message_of(answer: Self::Answer) -> ServerMessage;
+    /// Looks the answer up in a volume.
+    fn answer_from(&self, volume: &Volume) -> Self::Answer;
+}
+
+/// The client's half: the newest question and the newest answer.
+#[derive(Debug)]
+pub struct InquiryClient<Q: Question> {
+    newest: ProbeId,
+    outbox: Pace<Q>,
+    /// The newest question, until it is answered.
+    unanswered: Option<Q>,
+    answer: Option<Q::Answer>,
+}
+
+impl<Q: Question> Default for InquiryClient<Q> {
+    fn default() -> Self {
+        Self { newest: ProbeId(0), outbox: Pace::new(Q::PERIOD_MICROS), unanswered: None, answer: None }
+    }
+}
+
+impl<Q: Question> InquiryClient<Q> {
+    /// Asks what `question` makes of its number, if that is a question. Returns the number of the newest question.
+    pub(super) fn ask_what(&mut self, question: impl FnOnce(ProbeId) -> Option<Q>) -> ProbeId {
+        if let Some(question) = question(self.newest.next()) {
+            self.newest = question.id();
+            self.unanswered = Some(question);
+            self.outbox.offer(self.unanswered);
+        }
+        self.newest
+    }
+
+    /// The newest answer.
+    pub fn answer(&self) -> Option<&Q::Answer> {
+        self.answer.as_ref()
+    }
+
+    /// A connection is up: an unanswered question is asked again.
+    pub fn handle_welcome(&mut self) {
+        self.outbox.offer(self.unanswered);
+    }
+
+    /// A message has arrived. A new volume makes the old answer useless.
+    pub fn handle_message(&mut self, message: &ServerMessage) {
+        match Q::answer_in(message) {
+            Some(answer) => self.handle_answer(answer),
+            None if matches!(message, ServerMessage::VolumeChanged(_)) => self.answer = None,
+            None => {}
+        }
+    }
+
+    /// The server has answered.
+    pub fn handle_answer(&mut self, answer: Q::Answer) {
+        self.unanswered.take_if(|asked| asked.id() == Q::id_of(&answer));
+        self.answer = Some(answer);
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self, now_micros: u64) -> Option<ClientMessage> {
+        self.outbox.poll(now_micros).map(Q::to_message)
+    }
+
+    /// When to poll again, µs.
+    pub fn due(&self) -> Option<u64> {
+        self.outbox.due()
+    }
+}
+
+/// The server's half: the newest question.
+#[derive(Debug)]
+pub struct InquiryServer<Q: Question> {
+    asked: Option<Q>,
+    answer: Option<Q::Answer>,
+}
+
+impl<Q: Question> Default for InquiryServer<Q> {
+    fn default() -> Self {
+        Self { asked: None, answer: None }
+    }
+}
+
+impl<Q: Question> InquiryServer<Q> {
+    /// A message has arrived. Only the newest question remains.
+    pub fn handle_message(&mut self, message: &ClientMessage) {
+        self.asked = Q::in_message(message).or(self.asked);
+    }
+
+    /// Whether a question waits for its answer.
+    pub fn is_asked(&self) -> bool {
+        self.asked.is_some()
+    }
+
+    /// Answers the question from the shown volume.
+    pub fn answer(&mut self, volume: &Volume) {
+        if let Some(question) = self.asked.take() {
+            self.answer = Some(question.answer_from(volume));
+        }
+    }
+
+    /// The next message.
+    pub fn poll_message(&mut self) -> Option<ServerMessage> {
+        self.answer.take().map(Q::message_of)
+    }
+}
