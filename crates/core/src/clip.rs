@@ -7,7 +7,7 @@
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::space::{Aabb, Ray};
+use crate::space::{Aabb, MAX_COORDINATE, Ray};
 
 /// The visible part of a volume: the intersection of both, where given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -179,9 +179,6 @@ impl Region {
         min.cmpge(max).any() || self.normal.dot(farthest) < self.offset
     }
 }
-
-/// Largest coordinate of a clip, world units: beyond the largest volume, with products in single precision.
-const MAX_COORDINATE: f32 = 1e18;
 
 #[cfg(test)]
 mod tests {

@@ -122,6 +122,10 @@ pub fn safe_dir(dir: Vec3) -> Vec3 {
 /// Least magnitude of a direction component that is divided by.
 const TINY_DIR: f32 = 1e-9;
 
+/// Largest coordinate of a point that is given, world units: beyond the largest volume, with products in single
+/// precision.
+pub const MAX_COORDINATE: f32 = 1e18;
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
 use crate::error::{FormatError, io_error};
-use crate::output::file_beside;
+use crate::output::{file_beside, resolved};
 use crate::png::Rgb8;
 
 /// The form of a movie.
@@ -66,6 +66,7 @@ impl MovieWriter {
         num_pictures: u32,
     ) -> Result<Self, FormatError> {
         let failed = io_error(path);
+        let path = &resolved(path);
         let Some(file) = file_beside(path).map_err(&failed)? else {
             return Err(failed(io::Error::other("a movie needs a file of its own")));
         };

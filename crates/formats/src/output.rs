@@ -32,7 +32,7 @@ pub fn check_writable(path: &Path) -> Result<(), FormatError> {
 }
 
 /// The file that a link names.
-fn resolved(path: &Path) -> PathBuf {
+pub(crate) fn resolved(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
 }
 

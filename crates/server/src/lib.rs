@@ -25,7 +25,7 @@ use isinglass_core::wire::Choices;
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, BindError, Clock, Identity, Journal, Link, Server};
 use isinglass_render::Backend;
-use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use generator::Generator;
@@ -146,7 +146,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         load: load_in,
     };
     let coders = pipeline::coders()?;
-    let slice_makers = Arc::new(Semaphore::new(slices::MAX_MAKERS));
+    let slice_makers = Arc::new(slices::SliceMakers::new()?);
     let common = serving::Common { generator, present, load, orders, plan, after_work, coders, slice_makers };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);

@@ -12,7 +12,7 @@ use isinglass_core::session::frames::FramesServer;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::selection::Load;
 use isinglass_net::{AfterWork, Journal, Server, Session};
-use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 use tracing::Instrument;
@@ -21,7 +21,7 @@ use crate::generator::Generator;
 use crate::pipeline::{Coders, Pipeline, Sent};
 use crate::screenshots::Screenshots;
 use crate::selection::{Order, Present, SelectionReader};
-use crate::slices::Slices;
+use crate::slices::{SliceMakers, Slices};
 use crate::{Attendance, Command};
 
 /// State that all viewers share.
@@ -35,7 +35,7 @@ pub(crate) struct Common {
     pub(crate) after_work: AfterWork,
     pub(crate) coders: Coders,
     /// One for each slice that may be made at a time.
-    pub(crate) slice_makers: Arc<Semaphore>,
+    pub(crate) slice_makers: Arc<SliceMakers>,
 }
 
 /// Admits viewers until told to close.

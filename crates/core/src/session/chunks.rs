@@ -434,7 +434,7 @@ const DECODE_GAIN: f64 = 0.25;
 const MAX_POSES: usize = 512;
 /// Number of times that give the frame rate, and so the highest displayed rate.
 const MAX_RATE_SAMPLES: usize = 512;
-/// A slice that somebody looks at goes before every chunk: it is small, and the picture waits at most for one.
+/// A slice that somebody looks at goes before every chunk, so that paging feels local. The picture waits meanwhile.
 pub const SLICE_PRIORITY: i32 = i32::MAX - 1;
 /// A slice that is fetched ahead goes after every chunk, but before a screenshot.
 pub const SLICE_AHEAD_PRIORITY: i32 = -1;

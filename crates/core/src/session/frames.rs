@@ -62,6 +62,8 @@ pub struct FramesServer {
     begun_at: Option<u64>,
     /// Whether no newer pose has arrived since.
     rests: bool,
+    /// Whether no other look has come since.
+    keeps_look: bool,
     /// What the newest frame was made for.
     answered: Option<(PoseId, LookVersion)>,
     /// The newest frame that the network has, unless it is being sent again.
@@ -81,6 +83,7 @@ impl FramesServer {
             newest: FrameId(0),
             begun_at: None,
             rests: false,
+            keeps_look: false,
             answered: None,
             sent: None,
             num_given_up: 0,
@@ -110,7 +113,7 @@ impl FramesServer {
         // The turn that was reported for the camera's movement has been used.
         let is_again = self.answered.is_some_and(|(pose, _)| pose == request.id);
         self.answered = Some((request.id, look.version()));
-        self.rests = true;
+        (self.rests, self.keeps_look) = (true, true);
         // This is the time between frames of a moving camera.
         let since = self.begun_at.replace(now_micros).map(|at| now_micros.saturating_sub(at));
         if let Some(interval) = since.filter(|interval| *interval < LONG_REST_MICROS) {
@@ -144,9 +147,10 @@ impl FramesServer {
     }
 
     /// The viewer has another look. Returns whether the `generated` frame is given up for it. An edit that begins
-    /// comes with a smaller request, see [`Self::handle_pose`].
-    pub fn handle_look(&self, now_micros: u64, generated: Option<&Asked>) -> bool {
-        generated.is_some_and(|asked| self.num_given_up == 0 && self.is_long(now_micros, asked))
+    /// comes with a smaller request, see [`Self::handle_pose`]. While edits follow each other, frames are finished.
+    pub fn handle_look(&mut self, now_micros: u64, generated: Option<&Asked>) -> bool {
+        let is_first = std::mem::take(&mut self.keeps_look) && self.num_given_up == 0;
+        generated.is_some_and(|asked| is_first && self.is_long(now_micros, asked))
     }
 
     /// Whether a frame at the coder or before it is given up: it is much larger than what the viewer requests now, and
@@ -399,6 +403,8 @@ mod tests {
         // The look comes before the smaller request: the whole frame of the new look ends at once.
         let asked = frames.begin(0, &of_size(1, 64), &looks, &BOUNDS);
         assert!(!frames.handle_look(249_999, Some(&asked)), "it is about to be there");
+        assert!(!frames.handle_look(280_000, Some(&asked)), "edits follow each other");
+        let asked = frames.begin(0, &of_size(1, 64), &looks, &BOUNDS);
         assert!(frames.handle_look(250_000, Some(&asked)));
         frames.handle_given_up();
         looks.begin(250_000, look("second"), true);

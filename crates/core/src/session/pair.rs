@@ -179,8 +179,10 @@ impl Pair {
                     self.client.handle_message(now, message).unwrap();
                 }
                 Down::Slice(bytes) => {
-                    let slice = decode_slice(&bytes).unwrap();
-                    self.client.slices.handle_slice(slice_id(&bytes).unwrap(), slice);
+                    let id = slice_id(&bytes).unwrap();
+                    if let Some(size) = self.client.slices.begin(id) {
+                        self.client.slices.handle_slice(id, decode_slice(&bytes, size).unwrap());
+                    }
                 }
                 Down::Chunk(place, version) => {
                     self.chunks.handle_chunk(now, now, place, vec![0]).unwrap();
@@ -214,7 +216,7 @@ impl Pair {
         }
         // One slice takes 20 ms.
         if self.now.is_multiple_of(20_000)
-            && let Some(next) = server.slices.poll_next()
+            && let Some(next) = server.slices.poll_next(|_| true)
         {
             let slice = Slice::of(&self.volume, &next.spec, ALWAYS).unwrap();
             self.num_slices += 1;

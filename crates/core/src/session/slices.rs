@@ -22,6 +22,10 @@ use crate::wire::{ClientMessage, ServerMessage, SliceRequest, VolumeDescription,
 pub struct SlicesClient {
     newest: SliceId,
     wanted: Vec<SliceRequest>,
+    /// Those of `wanted` whose stream is read, so that each is read once.
+    reading: Vec<SliceId>,
+    /// How often each slice has failed on this connection.
+    failures: Vec<(SliceSpec, u8)>,
     outbox: Pace<()>,
     /// The volume, and the look version with which it came.
     volume: Option<(LookVersion, VolumeDescription)>,
@@ -35,6 +39,8 @@ impl Default for SlicesClient {
         Self {
             newest: SliceId(0),
             wanted: Vec::new(),
+            reading: Vec::new(),
+            failures: Vec::new(),
             outbox: Pace::new(PERIOD_MICROS),
             volume: None,
             kept: VecDeque::new(),
@@ -74,53 +80,76 @@ impl SlicesClient {
             SliceRequest { id, spec, is_ahead }
         };
         let wanted: Vec<_> = missing.into_iter().map(request).collect();
+        self.reading.retain(|id| wanted.iter().any(|w| w.id == *id));
         if wanted != self.wanted {
             self.wanted = wanted;
             self.outbox.offer(Some(()));
         }
     }
 
-    /// Whether a slice is still wanted, so that its stream is worth reading.
+    /// Whether a slice is still wanted.
     pub fn wants(&self, id: SliceId) -> bool {
         self.wanted.iter().any(|w| w.id == id)
     }
 
+    /// The stream of a slice begins. Returns its columns and rows if it is worth reading: the slice is wanted, and no
+    /// other stream of it was read.
+    pub fn begin(&mut self, id: SliceId) -> Option<[u32; 2]> {
+        let volume = &self.volume.as_ref()?.1;
+        let wanted = self.wanted.iter().find(|w| w.id == id)?;
+        if self.reading.contains(&id) {
+            return None;
+        }
+        self.reading.push(id);
+        Some(wanted.spec.grid(volume.dims, volume.spacing.into()).size)
+    }
+
+    /// The stream of a slice was unusable. It is requested again, but not for ever.
+    pub fn handle_failed(&mut self, id: SliceId) {
+        let Some(at) = self.wanted.iter().position(|w| w.id == id) else { return };
+        let spec = self.wanted.remove(at).spec;
+        self.reading.retain(|other| *other != id);
+        if let Some((_, num)) = self.failures.iter_mut().find(|(failed, _)| *failed == spec) {
+            *num = num.saturating_add(1);
+        } else if self.failures.len() < MAX_KEPT {
+            self.failures.push((spec, 1));
+        }
+    }
+
     /// A connection is up. What is wanted is requested again. Slices of another volume are dropped.
     pub fn handle_welcome(&mut self, volume: &VolumeDescription, version: LookVersion) {
-        if self.volume.as_ref().is_none_or(|(_, before)| before != volume) {
-            self.kept.clear();
-            self.num_kept_bytes = 0;
+        if self.volume.as_ref().is_some_and(|(_, before)| before != volume) {
+            self.drop_all();
         }
+        (self.reading, self.failures) = (Vec::new(), Vec::new());
         self.volume = Some((version, volume.clone()));
         self.outbox.offer((!self.wanted.is_empty()).then_some(()));
+    }
+
+    /// Streams on the way are of the volume before, so numbers begun before are no longer wanted.
+    fn drop_all(&mut self) {
+        (self.wanted, self.reading, self.failures) = (Vec::new(), Vec::new(), Vec::new());
+        self.kept.clear();
+        self.num_kept_bytes = 0;
     }
 
     /// A message has arrived. A new volume makes all slices useless.
     pub fn handle_message(&mut self, message: &ServerMessage) {
         if let ServerMessage::VolumeChanged(change) = message {
-            // Streams on the way are of the volume before, so numbers begun before are no longer wanted.
-            self.wanted.clear();
-            self.kept.clear();
-            self.num_kept_bytes = 0;
+            self.drop_all();
             self.volume = Some((change.look_version, change.volume.clone()));
             self.outbox.offer(None);
         }
     }
 
-    /// The stream of a slice has ended. One of another size than requested is not kept.
+    /// The stream of a slice has ended. `slice` has the size that [`Self::begin`] returned.
     pub fn handle_slice(&mut self, id: SliceId, slice: Slice) {
-        let (Some(at), Some((_, volume))) = (self.wanted.iter().position(|w| w.id == id), &self.volume)
-        else {
-            return;
-        };
-        let spec = self.wanted[at].spec;
-        if slice.size != spec.grid(volume.dims, volume.spacing.into()).size {
-            return;
-        }
-        self.wanted.remove(at);
+        self.reading.retain(|other| *other != id);
+        let Some(at) = self.wanted.iter().position(|w| w.id == id) else { return };
+        let spec = self.wanted.remove(at).spec;
         self.num_kept_bytes += slice.num_bytes();
         self.kept.push_back((spec, Arc::new(slice)));
-        while self.num_kept_bytes > MAX_KEPT_BYTES {
+        while self.num_kept_bytes > MAX_KEPT_BYTES || self.kept.len() > MAX_KEPT {
             let Some((_, oldest)) = self.kept.pop_front() else { break };
             self.num_kept_bytes -= oldest.num_bytes();
         }
@@ -139,7 +168,9 @@ impl SlicesClient {
     }
 
     fn missing(&self, specs: &[(SliceSpec, bool)]) -> impl Iterator<Item = (SliceSpec, bool)> {
-        let is_kept = |spec: &SliceSpec| self.kept.iter().any(|(kept, _)| kept == spec);
+        let has_failed =
+            |spec: &SliceSpec| self.failures.iter().any(|(other, num)| other == spec && *num >= MAX_TRIES);
+        let is_kept = |spec: &SliceSpec| self.kept.iter().any(|(kept, _)| kept == spec) || has_failed(spec);
         let mut missing: Vec<(SliceSpec, bool)> = Vec::new();
         for (spec, is_ahead) in specs {
             let is_double = missing.iter().any(|(other, _)| other == spec);
@@ -153,7 +184,7 @@ impl SlicesClient {
 
 /// The server's half: what is wanted and not begun.
 ///
-/// Begin what `poll_next` returns, and give up what is no longer wanted by `is_wanted`.
+/// Begin what `poll_next` returns, and give up what `wanted` no longer finds.
 #[derive(Debug)]
 pub struct SlicesServer {
     /// The first look version of the shown volume.
@@ -184,16 +215,16 @@ impl SlicesServer {
         }
     }
 
-    /// Takes the most urgent slice that was not begun.
-    pub fn poll_next(&mut self) -> Option<SliceRequest> {
-        let next = *self.wanted.iter().find(|w| !self.begun.contains(&w.id))?;
+    /// Takes the most urgent slice that was not begun, of those that `has_room` lets begin.
+    pub fn poll_next(&mut self, has_room: impl Fn(&SliceRequest) -> bool) -> Option<SliceRequest> {
+        let next = *self.wanted.iter().find(|w| !self.begun.contains(&w.id) && has_room(w))?;
         self.begun.push(next.id);
         Some(next)
     }
 
-    /// Whether a slice is still wanted.
-    pub fn is_wanted(&self, id: SliceId) -> bool {
-        self.wanted.iter().any(|w| w.id == id)
+    /// What is wanted of a slice now: one that was only for later may have become urgent.
+    pub fn wanted(&self, id: SliceId) -> Option<&SliceRequest> {
+        self.wanted.iter().find(|w| w.id == id)
     }
 }
 
@@ -201,6 +232,10 @@ impl SlicesServer {
 const PERIOD_MICROS: u64 = 33_334;
 /// Most memory of kept slices: 500 slices of 512×512 with 16 bits.
 pub const MAX_KEPT_BYTES: usize = 256 << 20;
+/// Most kept slices, so that finding one stays fast.
+const MAX_KEPT: usize = 1024;
+/// Most requests of one slice whose streams are unusable.
+const MAX_TRIES: u8 = 3;
 
 #[cfg(test)]
 mod tests {
@@ -238,7 +273,7 @@ mod tests {
             }
             pair.run(3_000_000);
             assert!(pair.client.slices.get(&spec(7)).is_some(), "the last one is there");
-            assert!(pair.num_slices < 8, "those between were given up: {}", pair.num_slices);
+            assert!(pair.num_slices < 8, "those between were never begun: {}", pair.num_slices);
             let before = pair.num_slices;
             pair.client.slices.want(&wanted([7, 6, 5, 4]));
             pair.run(3_000_000);
@@ -280,12 +315,12 @@ mod tests {
         // The server ignores a list that crossed the change.
         let mut server = SlicesServer::new(LookVersion(1));
         server.handle_message(&ClientMessage::WantSlices(old.clone()));
-        assert_eq!(server.poll_next().map(|w| w.id), Some(old.slices[0].id));
+        assert_eq!(server.poll_next(|_| true).map(|w| w.id), Some(old.slices[0].id));
         server.handle_volume(LookVersion(3));
         server.handle_message(&ClientMessage::WantSlices(old));
-        assert_eq!(server.poll_next(), None);
+        assert_eq!(server.poll_next(|_| true), None);
         server.handle_message(&ClientMessage::WantSlices(new.clone()));
-        assert_eq!(server.poll_next(), Some(new.slices[0]));
+        assert_eq!(server.poll_next(|_| true), Some(new.slices[0]));
     }
 
     #[test]
@@ -304,16 +339,16 @@ mod tests {
         };
         client.want(&wanted([1, 2, 3]));
         tell(&mut client, &mut server);
-        let first = server.poll_next().unwrap();
+        let first = server.poll_next(|_| true).unwrap();
         assert_eq!((index(first), first.is_ahead), (1, false));
         client.want(&wanted([3, 1]));
         tell(&mut client, &mut server);
-        assert!(server.is_wanted(first.id), "its number stays");
-        assert_eq!(server.poll_next().map(index), Some(3));
-        assert_eq!(server.poll_next(), None, "the others were begun or given up");
+        assert!(server.wanted(first.id).is_some_and(|w| w.is_ahead), "its number stays");
+        assert_eq!(server.poll_next(|_| true).map(index), Some(3));
+        assert_eq!(server.poll_next(|_| true), None, "the others were begun or given up");
         client.want(&[]);
         tell(&mut client, &mut server);
-        assert!(!server.is_wanted(first.id));
+        assert!(server.wanted(first.id).is_none());
     }
 
     #[test]
@@ -332,9 +367,34 @@ mod tests {
         assert!(client.num_kept_bytes <= MAX_KEPT_BYTES && client.kept.len() == 64);
         assert!(client.get(&spec(0)).is_some() && client.get(&spec(1)).is_none());
         assert!(client.get(&spec(79)).is_some());
-        // One of a wrong size is none.
-        client.want(&wanted([100]));
-        client.handle_slice(client.newest, slice(8));
-        assert!(client.get(&spec(100)).is_none());
+        // Many small ones are bounded, too.
+        for index in 0..2 * MAX_KEPT as u32 {
+            client.want(&[(SliceSpec { thickness: index as f32, ..spec(1) }, false)]);
+            client.handle_slice(client.newest, slice(8));
+        }
+        assert_eq!(client.kept.len(), MAX_KEPT);
+    }
+
+    #[test]
+    fn a_stream_is_read_once_and_one_that_fails_is_requested_again_but_not_for_ever() {
+        let mut client = SlicesClient::default();
+        client.handle_welcome(&welcome("a").volume, LookVersion(1));
+        let mut ids = Vec::new();
+        for _ in 0..2 * MAX_TRIES {
+            client.want(&wanted([1]));
+            if !client.wants(client.newest) {
+                break;
+            }
+            ids.push(client.newest);
+            assert_eq!((client.begin(client.newest), client.begin(client.newest)), (Some([8; 2]), None));
+            client.handle_failed(client.newest);
+        }
+        assert_eq!(ids.len(), usize::from(MAX_TRIES));
+        assert!(ids.windows(2).all(|pair| pair[0] != pair[1]), "each request has a number of its own");
+        // Over another connection it may succeed.
+        client.handle_welcome(&welcome("a").volume, LookVersion(1));
+        client.want(&wanted([1]));
+        assert!(client.begin(client.newest).is_some());
+        assert_eq!(client.begin(SliceId(99)), None, "nobody wants it");
     }
 }

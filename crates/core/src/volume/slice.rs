@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::grid::{Volume, Voxels};
 use crate::cancel::Wanted;
-use crate::space::Aabb;
+use crate::space::{Aabb, MAX_COORDINATE};
 
 /// What a slab shows of the values across it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,9 +111,9 @@ impl SliceSpec {
                 let center = |i: usize, at: u32| (at as f32 + 0.5 - dims[i] as f32 * 0.5) * spacing[i];
                 let mut origin = Vec3::from_array(std::array::from_fn(|i| center(i, 0)));
                 origin[axis] = center(axis, index);
-                let step = |i: usize| Vec3::AXES[i] * spacing[i] * stride(dims[i]) as f32;
+                let step = |i: usize| Vec3::AXES[i] * spacing[i];
                 let [a, b] = across(axis);
-                let size = [a, b].map(|i| dims[i].div_ceil(stride(dims[i])));
+                let size = [a, b].map(|i| dims[i]);
                 SliceGrid { origin, column: step(a), row: step(b), size }
             }
             SlicePlane::Oblique { origin, column, row, size } => SliceGrid {
@@ -180,10 +180,11 @@ impl Slice {
         }
     }
 
-    /// Makes a slice of a volume; `None` if nobody waits for it any more. Points outside the volume have the least stored number.
+    /// Makes a slice of a volume; `None` if nobody waits for it any more. Points outside the volume have the least
+    /// stored number.
     ///
     /// Codes of 8-bit and 16-bit voxels are the stored numbers. Means and oblique values of 8-bit voxels have 16 bits.
-    /// Floats are rounded to 65536 steps of their range.
+    /// Floats are rounded to 65535 steps of their range.
     pub fn of(volume: &Volume, spec: &SliceSpec, wanted: Wanted<'_>) -> Option<Self> {
         let grid = spec.grid(volume.dims(), volume.spacing());
         let is_whole = matches!(spec.plane, SlicePlane::Axis { .. }) && spec.mode != SlabMode::Mean;
@@ -233,7 +234,7 @@ fn values<T: Copy + Into<f64> + Sync>(
             let slab = spec.slab(index, dims[axis], spacing[axis]);
             let pitch = [1, dims[0] as usize, dims[0] as usize * dims[1] as usize];
             let [a, b] = across(axis);
-            let steps = [a, b].map(|i| pitch[i] * stride(dims[i]) as usize);
+            let steps = [a, b].map(|i| pitch[i]);
             rows.for_each(|(y, row)| {
                 for (n, k) in slab.clone().enumerate() {
                     if !wanted() {
@@ -251,9 +252,11 @@ fn values<T: Copy + Into<f64> + Sync>(
             let bounds = volume.bounds();
             let least = f64::from(volume.stored_range().0);
             let finest = spacing.min_element();
-            let layers = (spec.thickness / finest).round().clamp(1.0, MAX_LAYERS) as usize;
+            // A thicker slab has no more of the volume.
+            let thickness = spec.thickness.min(2.0 * bounds.radius());
+            let layers = (thickness / finest).round().clamp(1.0, MAX_LAYERS) as usize;
             let normal = grid.column.cross(grid.row).normalize_or_zero();
-            let aside = |n: usize| ((n as f32 + 0.5) / layers as f32 - 0.5) * spec.thickness;
+            let aside = |n: usize| ((n as f32 + 0.5) / layers as f32 - 0.5) * thickness;
             rows.for_each(|(y, row)| {
                 if !wanted() {
                     return;
@@ -328,23 +331,28 @@ fn trilinear<T: Copy + Into<f64>>(
     Some(mix(face(low[2]), face(high[2]), share[2]))
 }
 
+impl Volume {
+    /// The value at a point of world space, mixed from the eight voxels around it; none outside the volume.
+    pub fn value_between(&self, point: Vec3) -> Option<f32> {
+        let (dims, spacing, bounds) = (self.dims(), self.spacing(), self.bounds());
+        let stored = match self.voxels() {
+            Voxels::U8(v) => trilinear(v, dims, spacing, &bounds, point),
+            Voxels::U16(v) => trilinear(v, dims, spacing, &bounds, point),
+            Voxels::F32(v) => trilinear(v, dims, spacing, &bounds, point),
+        }?;
+        Some(self.value_from_stored(stored as f32))
+    }
+}
+
 /// The axes of columns and rows of a slice across an axis.
 fn across(axis: usize) -> [usize; 2] {
     [[1, 2], [0, 2], [0, 1]][axis]
 }
 
-/// Of a longer side, a slice has every so many voxels.
-fn stride(side: u32) -> u32 {
-    side.div_ceil(MAX_SLICE_SIDE).max(1)
-}
-
-/// Most columns or rows of a slice.
-pub const MAX_SLICE_SIDE: u32 = 2048;
+/// Most columns or rows of a slice: those of the largest volume.
+pub const MAX_SLICE_SIDE: u32 = Volume::MAX_SIDE;
 /// Most layers that an oblique slab is made of.
-const MAX_LAYERS: f32 = 256.0;
-/// Greatest coordinate of a plane, as for clips.
-const MAX_COORDINATE: f32 = 1e18;
-
+const MAX_LAYERS: f32 = 1024.0;
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::control::ControlError;
 use crate::ids::ProbeId;
+use crate::space::MAX_COORDINATE;
 use crate::volume::Volume;
 
 /// Asks for values at equal distances along a line. Of several waiting questions, the newest is answered.
@@ -39,7 +40,7 @@ impl ProfileRequest {
     pub fn answer(&self, volume: &Volume) -> Profile {
         let [from, to] = self.ends.map(Vec3::from_array);
         let last = f32::from(self.num_points.max(2) - 1);
-        let at = |i: u16| value_between_voxels(volume, from.lerp(to, f32::from(i) / last));
+        let at = |i: u16| volume.value_between(from.lerp(to, f32::from(i) / last));
         Profile { id: self.id, values: (0..self.num_points.min(MAX_PROFILE_POINTS)).map(at).collect() }
     }
 }
@@ -53,31 +54,8 @@ impl Profile {
     }
 }
 
-/// The value at a point of world space, mixed from the eight voxels around it.
-fn value_between_voxels(volume: &Volume, point: Vec3) -> Option<f32> {
-    let bounds = volume.bounds();
-    let is_inside = point.cmpge(bounds.min).all() && point.cmple(bounds.max).all();
-    if !is_inside {
-        return None;
-    }
-    let at = (point - bounds.min) / volume.spacing() - 0.5;
-    let (first, share) = (at.floor(), at - at.floor());
-    let [x, y, z] = first.to_array().map(|x| x as i32);
-    let mut stored = 0.0;
-    for corner in 0..8 {
-        let [i, j, k] = [corner & 1, corner >> 1 & 1, corner >> 2];
-        let weight = |bit: i32, share: f32| if bit == 1 { share } else { 1.0 - share };
-        let weight = weight(i, share.x) * weight(j, share.y) * weight(k, share.z);
-        stored += weight * volume.stored_at(x + i, y + j, z + k);
-    }
-    Some(volume.value_from_stored(stored))
-}
-
 /// Points of the longest profile.
 pub const MAX_PROFILE_POINTS: u16 = 512;
-/// The size of the largest coordinate, so that no difference overflows.
-const MAX_COORDINATE: f32 = 1e18;
-
 #[cfg(test)]
 mod tests {
     use super::*;

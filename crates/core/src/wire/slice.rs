@@ -118,16 +118,16 @@ pub fn slice_id(header: &[u8]) -> Option<SliceId> {
     (header[..4] == SLICE_MAGIC).then_some(SliceId(id))
 }
 
-/// The slice in a whole stream. Memory is bounded by [`MAX_SLICE_SIDE`].
+/// The slice of `size` columns and rows in a whole stream. Memory is bounded by the size.
 ///
 /// # Errors
-/// If the bytes are no slice.
-pub fn decode_slice(bytes: &[u8]) -> Result<Slice, SliceError> {
+/// If the bytes are no slice, or one of another size.
+pub fn decode_slice(bytes: &[u8], size: [u32; 2]) -> Result<Slice, SliceError> {
     let header: &[u8; SLICE_HEADER_BYTES] = bytes.first_chunk().ok_or(SliceError::Header)?;
     let side = |at: usize| u32::from(u16::from_le_bytes([header[at], header[at + 1]]));
     let number = |at: usize| f32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-    let (size, lo, step, code_bytes) = ([side(8), side(10)], number(12), number(16), header[20]);
-    let is_size = size.iter().all(|side| (1..=MAX_SLICE_SIDE).contains(side));
+    let (lo, step, code_bytes) = (number(12), number(16), header[20]);
+    let is_size = [side(8), side(10)] == size && size.iter().all(|side| (1..=MAX_SLICE_SIDE).contains(side));
     let are_values = lo.is_finite() && step.is_finite() && (step * 65535.0 + lo).is_finite();
     if slice_id(header).is_none() || !is_size || !are_values || !(1..=2).contains(&code_bytes) {
         return Err(SliceError::Header);
@@ -197,7 +197,7 @@ mod tests {
         for slice in slices() {
             let bytes = encode_slice(SliceId(0x0102_0304), &slice).unwrap();
             assert_eq!(slice_id(&bytes), Some(SliceId(0x0102_0304)));
-            assert_eq!(decode_slice(&bytes).unwrap(), slice);
+            assert_eq!(decode_slice(&bytes, slice.size).unwrap(), slice);
         }
         assert_eq!((slice_id(b"IGLS\x01\x02\x03\x04"), slice_id(b"IGSL\x01")), (None, None));
     }
@@ -207,12 +207,13 @@ mod tests {
         for slice in slices() {
             let good = encode_slice(SliceId(7), &slice).unwrap();
             for length in 0..good.len() {
-                assert!(decode_slice(&good[..length]).is_err());
+                assert!(decode_slice(&good[..length], slice.size).is_err());
             }
+            assert!(matches!(decode_slice(&good, [5, 7]), Err(SliceError::Header)), "another size");
             for bit in 0..good.len() * 8 {
                 let mut bytes = good.clone();
                 bytes[bit / 8] ^= 1 << (bit % 8);
-                if let Ok(found) = decode_slice(&bytes) {
+                if let Ok(found) = decode_slice(&bytes, slice.size) {
                     let [width, height] = found.size.map(|side| side as usize);
                     let num = match &found.codes {
                         SliceCodes::U8(codes) => codes.len(),
@@ -225,10 +226,10 @@ mod tests {
             // A frame that holds more than its header says does not unpack.
             let mut bomb = good[..SLICE_HEADER_BYTES].to_vec();
             bomb.extend(zstd::bulk::compress(&vec![0; 100 << 20], 1).unwrap());
-            assert!(matches!(decode_slice(&bomb), Err(SliceError::Packing(_))));
+            assert!(matches!(decode_slice(&bomb, slice.size), Err(SliceError::Packing(_))));
             let mut short = good[..SLICE_HEADER_BYTES].to_vec();
             short.extend(zstd::bulk::compress(&[0; 3], 1).unwrap());
-            assert!(matches!(decode_slice(&short), Err(SliceError::Length { found: 3, .. })));
+            assert!(matches!(decode_slice(&short, slice.size), Err(SliceError::Length { found: 3, .. })));
         }
     }
 

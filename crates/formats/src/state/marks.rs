@@ -2,6 +2,7 @@
 
 use glam::{Quat, Vec3};
 use isinglass_core::camera::Pose;
+use isinglass_core::space::MAX_COORDINATE;
 use serde::{Deserialize, Serialize};
 
 use crate::error::quoted;
@@ -85,8 +86,7 @@ impl NamedView {
             ));
         }
         let is_place = Pose::around(center, rotation, eye).is_valid();
-        (!is_place)
-            .then(|| format!("the view {} is no place and rotation of finite numbers", quoted(&self.name)))
+        (!is_place).then(|| format!("the camera of the view {} is invalid", quoted(&self.name)))
     }
 }
 
@@ -155,9 +155,6 @@ pub const MAX_MEASURES: usize = 64;
 pub const MAX_MEASURE_POINTS: usize = 256;
 /// Characters of a view's name.
 const MAX_VIEW_NAME: usize = 60;
-/// The size of the largest coordinate, world units.
-const MAX_COORDINATE: f32 = 1e18;
-
 #[cfg(test)]
 mod tests {
     use std::path::Path;

@@ -1,6 +1,7 @@
 //! The slices in a state.
 
 use glam::{Quat, Vec3};
+use isinglass_core::space::MAX_COORDINATE;
 use isinglass_core::volume::SlabMode;
 use serde::{Deserialize, Serialize};
 
@@ -72,12 +73,9 @@ impl SavedSlices {
             return Some("the window of the slices is not two ascending numbers".into());
         }
         if !self.planes.iter().all(is_rotation) {
-            return Some("an oblique plane of the slices is no rotation".into());
+            return Some("the rotation of an oblique slice is not a unit quaternion".into());
         }
         let large = self.large.filter(|pane| !(1..=3).contains(pane))?;
         Some(format!("the large pane of the slices is {large}, expected 1 to 3"))
     }
 }
-
-/// Greatest coordinate.
-const MAX_COORDINATE: f32 = 1e18;

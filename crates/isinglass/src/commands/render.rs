@@ -92,7 +92,10 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         Some(path) => (path.duration().as_secs_f32() * PICTURES_PER_SECOND as f32) as u32 + 1,
         None => args.turntable.unwrap_or(1),
     };
-    let num_pictures = num_pictures.min(MAX_PICTURES as u32);
+    if num_pictures > MAX_PICTURES as u32 {
+        let most = MAX_PICTURES as u32 / PICTURES_PER_SECOND;
+        anyhow::bail!("the path has {num_pictures} pictures, expected one of at most {most} s");
+    }
     let names = Names::of(&args.output, is_series);
     if let (None, Names::Folder(folder)) = (movie, &names) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;

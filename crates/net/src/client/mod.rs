@@ -24,7 +24,7 @@ use isinglass_core::session::ClientSession;
 use isinglass_core::session::chunks::ChunksClient;
 use isinglass_core::session::ledger::Life;
 use isinglass_core::wire::{ServerStats, Welcome};
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 
 use crate::clock::Clock;
 use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters};
@@ -155,6 +155,8 @@ impl LinkStats {
     }
 }
 
+/// Most slices that are unpacked at a time.
+const MAX_UNPACKING: usize = 2;
 /// Silence that a person should know of, beyond a round trip, µs.
 const SILENT_MICROS: u64 = 1_200_000;
 
@@ -181,6 +183,7 @@ impl Client {
             talk: Talk::new(ClientSession::default()),
             chunks: Mutex::default(),
             decode_wanted: Condvar::new(),
+            unpacking: Semaphore::new(MAX_UNPACKING),
             is_stopping: AtomicBool::new(false),
             frame: ArcSwapOption::empty(),
             status: StatusBoard::new(),
@@ -300,6 +303,8 @@ struct Shared {
     talk: Talk<ClientSession>,
     chunks: Mutex<ChunksClient>,
     decode_wanted: Condvar,
+    /// One for each slice that may be unpacked at a time.
+    unpacking: Semaphore,
     is_stopping: AtomicBool,
     frame: ArcSwapOption<ReceivedFrame>,
     status: StatusBoard,

@@ -1,5 +1,6 @@
 //! Receives screenshots and slices, whose streams count only as a whole.
 
+use isinglass_core::volume::Slice;
 use isinglass_core::wire::screenshot::{MAX_SCREENSHOT_BYTES, SCREENSHOT_HEADER_BYTES, screenshot_id};
 use isinglass_core::wire::slice::{MAX_SLICE_BYTES, decode_slice, slice_id};
 use quinn::RecvStream;
@@ -41,14 +42,32 @@ pub(super) async fn read_slice(
     budget: Budget,
 ) -> Result<(), String> {
     let Some(id) = slice_id(&bytes) else { return Ok(()) };
+    let Some(size) = shared.talk.lock_quietly().slices.begin(id) else { return Ok(()) };
     let is_wanted = || shared.talk.lock_quietly().slices.wants(id);
-    let Some(bytes) = read(stream, bytes, budget, MAX_SLICE_BYTES, is_wanted).await? else { return Ok(()) };
-    // Unpacking takes longer than the network should wait.
-    let unpacked = tokio::task::spawn_blocking(move || decode_slice(&bytes)).await;
-    let slice = unpacked.map_err(|e| e.to_string())?.map_err(|e| e.to_string())?;
-    shared.talk.lock_quietly().slices.handle_slice(id, slice);
+    let unpacked = match read(stream, bytes, budget, MAX_SLICE_BYTES, is_wanted).await {
+        Ok(None) => return Ok(()),
+        Ok(Some(bytes)) => unpack(shared, bytes, size).await,
+        Err(why) => Err(why),
+    };
+    let read = {
+        let mut talk = shared.talk.lock_quietly();
+        match unpacked {
+            Ok(slice) => Ok(talk.slices.handle_slice(id, slice)),
+            Err(why) => {
+                talk.slices.handle_failed(id);
+                Err(why)
+            }
+        }
+    };
     (shared.wake)();
-    Ok(())
+    read
+}
+
+/// Unpacks a slice on a thread that may block, because it takes longer than the network should wait.
+async fn unpack(shared: &Shared, bytes: Vec<u8>, size: [u32; 2]) -> Result<Slice, String> {
+    let _turn = shared.unpacking.acquire().await.map_err(|e| e.to_string())?;
+    let unpacked = tokio::task::spawn_blocking(move || decode_slice(&bytes, size)).await;
+    unpacked.map_err(|e| e.to_string())?.map_err(|e| e.to_string())
 }
 
 /// The whole stream; `None` if nobody waits for it any more, or if it was reset.

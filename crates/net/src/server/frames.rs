@@ -16,6 +16,7 @@ use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::LinkState;
 use isinglass_core::wire::screenshot::screenshot_header;
 use quinn::{SendStream, WriteError};
+use tokio::sync::watch;
 use tokio::time::Instant;
 use tracing::Instrument;
 
@@ -79,17 +80,22 @@ impl FrameSender {
         Ok(())
     }
 
-    /// Writes the stream of a slice, before all frames or, if `is_ahead`, behind them. Returns when the network has
+    /// Writes the stream of a slice, before all frames or, while `is_ahead`, behind them. Returns when the network has
     /// taken it.
     ///
     /// If the future or the result is dropped, the slice is given up.
     ///
     /// # Errors
     /// If the connection is over.
-    pub async fn send_slice(&self, bytes: &[u8], is_ahead: bool) -> Result<SentSlice, SessionClosed> {
-        let priority = if is_ahead { SLICE_AHEAD_PRIORITY } else { SLICE_PRIORITY };
-        let mut stream = ChunkStream::open_whole(&self.link, priority).await?;
+    pub async fn send_slice(
+        &self,
+        bytes: &[u8],
+        is_ahead: &watch::Receiver<bool>,
+    ) -> Result<SentSlice, SessionClosed> {
+        let mut stream = ChunkStream::open_whole(&self.link, SLICE_AHEAD_PRIORITY).await?;
         for part in bytes.chunks(4 * PIECE) {
+            let is_ahead = *is_ahead.borrow();
+            let _ = stream.stream.set_priority(if is_ahead { SLICE_AHEAD_PRIORITY } else { SLICE_PRIORITY });
             let is_taken = match is_ahead {
                 true => stream.write_behind(&self.link, part).await?,
                 false => stream.write_part(&self.link, part).await?,
