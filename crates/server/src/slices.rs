@@ -82,7 +82,7 @@ impl Slices {
         };
         while let Some(request) = slices.poll_next(|request| has_room(&self.running, request)) {
             let is_ahead = watch::Sender::new(request.is_ahead);
-            let job = Job {
+            let job = SliceJob {
                 request,
                 is_ahead: is_ahead.subscribe(),
                 frames: self.frames.clone(),
@@ -111,7 +111,7 @@ impl Slices {
 }
 
 /// A slice that is made and sent.
-struct Job {
+struct SliceJob {
     request: SliceRequest,
     is_ahead: watch::Receiver<bool>,
     frames: FrameSender,
@@ -120,7 +120,7 @@ struct Job {
     writers: Arc<Writers>,
 }
 
-impl Job {
+impl SliceJob {
     async fn run(mut self) -> SliceId {
         match self.make().await {
             Ok(Some(bytes)) => self.send(&bytes).await,
