@@ -115,6 +115,50 @@ fn the_values_along_a_line_are_the_server_s_and_go_to_a_csv_file() {
 }
 
 #[test]
+fn two_clicks_on_a_slice_tell_the_distance_in_its_plane() {
+    let mut w = window([1000.0, 800.0]);
+    for key in [Key::X, Key::D] {
+        press(&mut w, Modifiers::NONE, key);
+    }
+    // The pane of the measurements covers the upper right, so the lower left is taken.
+    let rect = w.get_by_label_contains("across z, slice ").rect();
+    let app = w.state();
+    let stack = app.stacks(&app.viewing.source().description().unwrap().volume)[1];
+    let points_per_unit =
+        (rect.size() - vec2(40.0, 40.0)).min_elem() / (2.0 * stack.half_size().max_element());
+    let (point, large, before) = (app.slices.point, app.slices.large(), pose(&w));
+    let [a, b] = [vec2(-40.0, 30.0), vec2(50.0, -20.0)];
+    [a, b].iter().for_each(|by| click_at(&mut w, rect.center() + *by));
+    let found = points(&w, 0);
+    let middle = stack.moved(point, stack.index_of(point));
+    for (found, by) in found.iter().zip([a, b]) {
+        let in_plane = (stack.right * by.x + stack.down * by.y) / points_per_unit;
+        let expected = in_plane + stack.towards * stack.towards.dot(middle);
+        assert!((*found - expected).length() < 1e-4, "{found} {expected}");
+    }
+    assert!((found[0].distance(found[1]) - (b - a).length() / points_per_unit).abs() < 1e-4);
+    let state = w.state();
+    assert_eq!((state.slices.point, state.slices.large(), pose(&w)), (point, large, before), "nothing moves");
+    // A point is dragged in the plane, and the common point stays.
+    drag(&mut w, rect.center() + b, vec2(10.0, 25.0), Modifiers::NONE);
+    let moved = points(&w, 0);
+    let by = (moved[1] - found[1]) * points_per_unit;
+    assert!((by.dot(stack.right) - 10.0).abs() < 1e-2 && (by.dot(stack.down) - 25.0).abs() < 1e-2, "{by}");
+    assert_eq!((moved[0], w.state().slices.point), (found[0], point));
+    // In another slice the points are faint, and cannot be grasped.
+    let view = w.state().slices.views().nth(1).unwrap();
+    assert!(crate::paint::measure::Canvas::holds(&view, moved[0]));
+    w.state_mut().slices.page(1, &stack, 3);
+    rest(&mut w);
+    let view = w.state().slices.views().nth(1).unwrap();
+    assert!(!crate::paint::measure::Canvas::holds(&view, moved[0]));
+    // Without measuring, a click moves the common point as ever.
+    press(&mut w, Modifiers::NONE, Key::D);
+    click_at(&mut w, rect.center() + a);
+    assert!(w.state().slices.point.distance(point) > 0.01 && points(&w, 0) == moved);
+}
+
+#[test]
 fn a_state_keeps_what_was_measured() {
     let w = measured();
     let state = w.state().saved_state(&w.ctx, w.state().window.unwrap()).unwrap();

@@ -41,6 +41,7 @@ struct HereSource {
 
 struct Here {
     scene: Scene,
+    described: Option<Arc<Welcome>>,
     look: (LookVersion, Arc<Look>),
     wanted: Option<Look>,
     asked: Option<(Pose, Intrinsics)>,
@@ -53,6 +54,8 @@ struct Here {
     num_shots: u32,
     num_cancelled: usize,
     num_slice_lists: usize,
+    /// Slices of the newest list.
+    num_wanted_slices: usize,
     state: State,
     stats: LinkStats,
 }
@@ -64,6 +67,7 @@ impl HereSource {
         let look = Look::new(transfer);
         let here = Here {
             scene,
+            described: None,
             look: (LookVersion(1), Arc::new(look)),
             wanted: None,
             asked: None,
@@ -76,6 +80,7 @@ impl HereSource {
             num_shots: 0,
             num_cancelled: 0,
             num_slice_lists: 0,
+            num_wanted_slices: 0,
             state: State::Connected,
             stats: LinkStats::default(),
         };
@@ -114,6 +119,7 @@ impl HereSource {
                 ClientMessage::CancelScreenshot => here.num_cancelled += 1,
                 ClientMessage::WantSlices(list) => {
                     here.num_slice_lists += 1;
+                    here.num_wanted_slices = list.slices.len();
                     for wanted in list.slices.iter().filter(|_| !here.sleeps) {
                         let slice = Slice::of(&here.scene.volume, &wanted.spec, ALWAYS).unwrap();
                         session.slices.handle_slice(wanted.id, slice);
@@ -207,7 +213,13 @@ impl FrameSource for HereSource {
     }
 
     fn description(&self) -> Option<Arc<Welcome>> {
-        Some(Arc::new(self.here().welcome()))
+        let here = &mut *self.here();
+        let welcome = here.welcome();
+        // As in a session, the description stays until there is another volume.
+        if here.described.as_ref().is_none_or(|described| described.volume != welcome.volume) {
+            here.described = Some(Arc::new(welcome));
+        }
+        here.described.clone()
     }
 
     fn is_of_volume(&self, _frame: &ReceivedFrame) -> bool {
