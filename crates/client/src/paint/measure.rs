@@ -322,7 +322,9 @@ impl LengthScale<'_> {
         let number = if length == 0.0 {
             format!("{length:.decimals$}")
         } else if finest < LEAST_WITHOUT_EXPONENT {
-            let figures = (1.0 + length.log10().floor() - finest.log10().floor()).clamp(1.0, 9.0) as usize;
+            // 10⁻⁶ in single precision is a little less than that.
+            let power = |length: f64| (length.log10() + 1e-6).floor();
+            let figures = (1.0 + power(length) - power(finest)).clamp(1.0, 9.0) as usize;
             format!("{length:.figures$e}")
         } else if length < 0.5 * 0.1f64.powi(6) {
             format!("{length:.3e}")

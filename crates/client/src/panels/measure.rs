@@ -147,7 +147,7 @@ impl MeasurePane {
             }
         });
         let hint = match editor.kind {
-            MeasureKind::Distance => "Click two points on a surface.",
+            MeasureKind::Distance => "Click two points on a surface or a slice.",
             MeasureKind::Angle => "Click three points: the angle is at the second.",
             MeasureKind::Path => "Click points; click the last one again to end.",
             MeasureKind::Profile => "Click both ends of a line through the volume.",

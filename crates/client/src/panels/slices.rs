@@ -51,7 +51,8 @@ impl SlicePanes {
 
     pub(crate) fn set_on(&mut self, is_on: bool) {
         self.is_on = is_on;
-        self.end_drag();
+        self.stacks = None;
+        self.panes.iter_mut().for_each(pane::Pane::hide);
     }
 
     /// Ends drags whose release may never be reported.
@@ -254,14 +255,14 @@ impl SlicePanes {
         self.stacks = Some(stacks);
     }
 
-    /// The planes that the panes show.
+    /// The planes that the panes show; none while they are closed.
     pub(crate) fn stacks(&self) -> Option<&[Stack; 3]> {
-        self.stacks.as_ref().filter(|_| self.is_on)
+        self.stacks.as_ref()
     }
 
     /// The panes as they lie on the screen.
     pub(crate) fn views(&self) -> impl Iterator<Item = PaneView> {
-        self.panes.iter().filter(|_| self.is_on).filter_map(pane::Pane::view)
+        self.panes.iter().filter_map(pane::Pane::view)
     }
 
     /// The pane that keys page while no pane has the keyboard.

@@ -145,6 +145,22 @@ fn two_clicks_on_a_slice_tell_the_distance_in_its_plane() {
     let by = (moved[1] - found[1]) * points_per_unit;
     assert!((by.dot(stack.right) - 10.0).abs() < 1e-2 && (by.dot(stack.down) - 25.0).abs() < 1e-2, "{by}");
     assert_eq!((moved[0], w.state().slices.point), (found[0], point));
+    // A drag beside the points moves the common point.
+    let beside = rect.center() + vec2(-20.0, -30.0);
+    let button = |pos, pressed| {
+        let button = PointerButton::Primary;
+        Event::PointerButton { pos, button, pressed, modifiers: Modifiers::NONE }
+    };
+    let to = beside + vec2(-30.0, 0.0);
+    for event in
+        [Event::PointerMoved(beside), button(beside, true), Event::PointerMoved(to), button(to, false)]
+    {
+        w.event(event);
+        w.step();
+    }
+    rest(&mut w);
+    assert!(w.state().slices.point.distance(point) > 0.01 && points(&w, 0) == moved);
+    w.state_mut().slices.point = point;
     // In another slice the points are faint, and cannot be grasped.
     let view = w.state().slices.views().nth(1).unwrap();
     assert!(crate::paint::measure::Canvas::holds(&view, moved[0]));

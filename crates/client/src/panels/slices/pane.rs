@@ -166,6 +166,11 @@ impl Pane {
         if self.direction < 0 { -1 } else { 1 }
     }
 
+    /// The pane is on the screen no more.
+    pub(super) fn hide(&mut self) {
+        (self.view, self.window_from) = (None, None);
+    }
+
     pub(super) fn end_drag(&mut self) {
         self.window_from = None;
     }
