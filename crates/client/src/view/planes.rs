@@ -259,8 +259,11 @@ mod tests {
     #[test]
     fn another_axis_up_turns_no_plane_of_a_body_and_planes_are_named_by_their_axis() {
         let sides = [Side::Top, Side::Front, Side::Right].map(PlaneChoice::Standard);
-        let body = orientation_of_planes(Some("RAS"), UpAxis::Z);
-        assert_eq!(body, Orientation::of(Some("RAS")));
+        let body = Orientation::of(Some("RAS"));
+        assert_ne!(body.clone().with_up(UpAxis::X), body, "control");
+        for up in UpAxis::ALL {
+            assert_eq!(orientation_of_planes(Some("RAS"), up), body);
+        }
         assert_eq!(sides.map(|side| side.name(&body)), ["axial", "coronal", "sagittal"]);
         let plain = orientation_of_planes(None, UpAxis::Own);
         assert_eq!(sides.map(|side| side.name(&plain)), ["across y", "across z", "across x"]);

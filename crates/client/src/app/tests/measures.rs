@@ -115,6 +115,31 @@ fn the_values_along_a_line_are_the_server_s_and_go_to_a_csv_file() {
 }
 
 #[test]
+fn measurements_stay_in_place_in_another_part_of_the_file_or_go() {
+    let placement =
+        |x: f64| Some(Placement { center: [x, 0.0, 0.0], axes: [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]] });
+    let show = |w: &mut Harness<'_, ViewerApp<HereSource>>, placement: Option<Placement>| {
+        w.state().viewing.source().here().placement = placement;
+        rest(w);
+    };
+    let source = HereSource::new();
+    source.here().placement = placement(1.0);
+    let mut w = window_on(source, InitialOrbit::default(), [900.0, 700.0], 1.0);
+    press(&mut w, Modifiers::NONE, Key::D);
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
+    let before = points(&w, 0);
+    show(&mut w, placement(1.25));
+    let moved: Vec<Vec3> = before.iter().map(|p| *p - Vec3::X * 0.25).collect();
+    assert_eq!(points(&w, 0), moved);
+    assert_eq!(w.state().slices.point, Vec3::NEG_X * 0.25);
+    assert!(w.query_by_label_contains("were of another volume").is_none(), "control");
+    show(&mut w, None);
+    assert!(w.state().measures.measures().is_empty());
+    assert_eq!(w.state().slices.point, Vec3::ZERO);
+    assert!(w.query_by_label_contains("were of another volume").is_some());
+}
+
+#[test]
 fn two_clicks_on_a_slice_tell_the_distance_in_its_plane() {
     let mut w = window([1000.0, 800.0]);
     for key in [Key::X, Key::D] {

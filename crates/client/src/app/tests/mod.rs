@@ -17,8 +17,8 @@ use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
-use isinglass_core::volume::Slice;
 use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::volume::{Placement, Slice};
 use isinglass_core::wire::{ClientMessage, ScreenshotRequest, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
 
@@ -50,6 +50,7 @@ struct Here {
     num_looks: usize,
     sleeps: bool,
     orientation: Option<String>,
+    placement: Option<Placement>,
     num_probes: usize,
     num_shots: u32,
     num_cancelled: usize,
@@ -76,6 +77,7 @@ impl HereSource {
             num_looks: 0,
             sleeps: false,
             orientation: None,
+            placement: None,
             num_probes: 0,
             num_shots: 0,
             num_cancelled: 0,
@@ -142,6 +144,7 @@ impl Here {
     fn welcome(&self) -> Welcome {
         let mut volume = VolumeDescription::of(&self.scene.volume, &self.scene.histogram);
         volume.orientation.clone_from(&self.orientation);
+        volume.placement = self.placement;
         Welcome {
             ticket: Token::new([0; 16]),
             volume,
