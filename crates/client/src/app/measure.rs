@@ -82,7 +82,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let scale = measure::scale(&description.volume);
         self.measures.paint(&pen, &view, &scale);
         for pane in self.slices.views() {
-            let painter = ui.painter().with_clip_rect(pane.rect);
+            // A part of the picture's painter would end at the picture.
+            let mut painter = ui.painter().clone();
+            painter.set_clip_rect(pane.rect);
             self.measures.paint(&slices::pen(&painter), &pane, &scale);
         }
         let answer = self.viewing.source().talk().profile.answer().cloned();

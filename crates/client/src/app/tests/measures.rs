@@ -162,6 +162,16 @@ fn two_clicks_on_a_slice_tell_the_distance_in_its_plane() {
         assert!((*found - expected).length() < 1e-4, "{found} {expected}");
     }
     assert!((found[0].distance(found[1]) - (b - a).length() / points_per_unit).abs() < 1e-4);
+    // It is drawn in the pane, too.
+    for by in [a, b] {
+        let is_point = |shape: &egui::epaint::ClippedShape| match &shape.shape {
+            egui::Shape::Circle(c) => {
+                shape.clip_rect.contains(c.center) && c.center.distance(rect.center() + by) < 1.0
+            }
+            _ => false,
+        };
+        assert!(w.output().shapes.iter().any(is_point), "{by}");
+    }
     let state = w.state();
     assert_eq!((state.slices.point, state.slices.large(), pose(&w)), (point, large, before), "nothing moves");
     // A point is dragged in the plane, and the common point stays.
