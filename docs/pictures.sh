@@ -3,13 +3,14 @@
 #
 #   docs/pictures.sh VOLUMES [ISINGLASS] [NAME…]
 #
-# VOLUMES is a folder with avm.nrrd, bonsai.nrrd, heptane.nrrd, mouse_brain.nrrd, and tooth.nhdr with tooth.raw.
+# VOLUMES is a folder with avm.nrrd, bonsai.nrrd, heptane.nrrd, mouse_brain.nrrd, and tooth.nhdr with tooth.raw. `tour`
+# also takes engine.nrrd and t1_head.nrrd, and leaves out what is not there.
 # docs/BENCHMARKS.md and docs/GUIDE.md name their origins. ISINGLASS is the program; without it a release build is made.
 # NAMEs, such as viewer or guide-mip, select pictures. `tour` alone makes pictures to look at and not to keep, in
 # target/tour: each kind of page, size and theme. The script needs Xvfb, xdotool, xwd and ImageMagick.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-[ $# -ge 1 ] || { sed -n '2,9p' "$0"; exit 2; }
+[ $# -ge 1 ] || { sed -n '2,10p' "$0"; exit 2; }
 volumes=$(realpath "$1")
 program=${2:-}
 chosen=" ${*:3} "
@@ -28,9 +29,16 @@ export HOME=$home XDG_RUNTIME_DIR=$home XDG_STATE_HOME=$home/state XDG_CONFIG_HO
 mkfifo "$home/display"
 exec 3<>"$home/display"
 mkdir "$home/scans"
-for name in avm.nrrd bonsai.nrrd heptane.nrrd mouse_brain.nrrd tooth.nhdr tooth.raw; do
+wanted=(avm.nrrd bonsai.nrrd heptane.nrrd mouse_brain.nrrd tooth.nhdr tooth.raw)
+[ "$chosen" != " tour " ] || wanted+=(engine.nrrd t1_head.nrrd)
+for name in "${wanted[@]}"; do
     found=$(find "$volumes" -name "$name" | head -n 1)
-    [ -z "$found" ] || cp "$found" "$home/scans/"
+    if [ -n "$found" ]; then
+        cp "$found" "$home/scans/"
+    elif [ "$chosen" != " tour " ]; then
+        echo "$volumes has no $name" >&2
+        exit 1
+    fi
 done
 
 # The bonsai upright, from aside and a little above; without the table that the scanner saw below it.
@@ -95,14 +103,17 @@ picture() {
     echo "docs/$name.png"
 }
 
-# look NAME WxH KEYS ARGUMENTS…: the window at rest in target/tour, after each of KEYS was pressed.
+# look NAME WxH KEYS ARGUMENTS…: the window at rest in target/tour, after each of KEYS was pressed. X,Y is a click there.
 look() {
     local name=$1 size=$2 keys=$3
     shift 3
     open "$size" "$@" --size "$size"
     settle
     for key in $keys; do
-        xdotool search --onlyvisible --name isinglass windowfocus key "$key"
+        case $key in
+        *,*) xdotool mousemove "${key%,*}" "${key#*,}" sleep 0.5 click 1 ;;
+        *) xdotool search --onlyvisible --name isinglass windowfocus key "$key" ;;
+        esac
         settle
     done
     import -window root -depth 8 -strip "target/tour/$name.png"
@@ -114,11 +125,12 @@ look() {
 tour() {
     mkdir -p target/tour
     look start 1100x760 "" view
-    for volume in avm bonsai heptane mouse_brain; do
+    for volume in avm bonsai engine heptane mouse_brain t1_head; do
+        [ -e "$home/scans/$volume.nrrd" ] || continue
         look "first-$volume" 1280x800 "" view "$volume.nrrd" --backend cpu
     done
     look slices 1280x800 x view avm.nrrd --backend cpu
-    look measure 1280x800 d view bonsai.nrrd --backend cpu
+    look measure 1280x800 "d 430,400 530,480" view bonsai.nrrd --backend cpu
     look help 1280x800 h view bonsai.nrrd --backend cpu
     for theme in dark light; do
         look "$theme" 1280x800 "" view bonsai.nrrd --backend cpu --theme "$theme"

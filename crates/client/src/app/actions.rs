@@ -55,7 +55,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Legend => self.aids.shows_legend = !self.aids.shows_legend,
                 Action::Box => self.aids.shows_box = !self.aids.shows_box,
                 Action::Clip => self.toggle_clip(now),
-                Action::Slices => self.toggle_slices(),
+                Action::Slices => self.set_slices_on(!self.slices.is_on()),
                 Action::Projection => self.is_orthographic = !self.is_orthographic,
                 Action::Axes => self.aids.shows_axes = !self.aids.shows_axes,
                 Action::Stereo => self.stereo.mode = stereo::next(self.stereo.mode),

@@ -4,12 +4,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::clip::Region;
+use isinglass_formats::MAX_MEASURES;
 use isinglass_net::ReceivedFrame;
 
 use super::{ViewerApp, is_free};
 use crate::paint::clip_editor::ClipView;
+use crate::paint::measure::Ground;
 use crate::paint::view_aids::pixel_at;
-use crate::panels::measure;
+use crate::panels::slices::PaneView;
+use crate::panels::{measure, slices};
 use crate::view::frame_source::FrameSource;
 use crate::view::pick::visible_point;
 use crate::view::viewing::Refresh;
@@ -34,16 +37,34 @@ impl SeenPicture {
 
 impl<S: FrameSource> ViewerApp<S> {
     /// Gives points of measurements their events before the camera gets the rest.
-    pub(super) fn drag_measures(&mut self, ctx: &egui::Context, events: &mut Vec<egui::Event>) {
+    pub(super) fn drag_measures(
+        &mut self,
+        ctx: &egui::Context,
+        now: Duration,
+        events: &mut Vec<egui::Event>,
+    ) {
         let Some(SeenPicture { view, region, frame }) = &self.seen_picture else { return };
         let cube = (self.aids.shows_axes).then(|| self.cube_rect());
+        let room = self.room;
         let pick = |at| {
             let pixel = pixel_at(view.rect, &view.camera, at);
             visible_point(&frame.frame, region, &view.camera, pixel)
         };
-        let free = |at| is_free(ctx, self.room, at) && cube.is_none_or(|cube| !cube.contains(at));
-        if self.measures.take_events(events, view, pick, free) {
+        let free = move |at| is_free(ctx, room, at) && cube.is_none_or(|cube| !cube.contains(at));
+        let panes: Vec<PaneView> = self.slices.views().collect();
+        let mut grounds = vec![Ground { canvas: view, pick: Box::new(pick), is_free: Box::new(free) }];
+        grounds.extend(panes.iter().map(|pane| Ground {
+            canvas: pane,
+            pick: Box::new(|at| pane.pick(at)),
+            is_free: Box::new(|at| pane.is_free(at) && is_free(ctx, pane.rect, at)),
+        }));
+        let is_changed = self.measures.take_events(events, &grounds);
+        drop(grounds);
+        if is_changed {
             ctx.request_repaint();
+        }
+        if self.measures.take_refusal() {
+            self.tell(now, format!("At most {MAX_MEASURES} measurements"));
         }
         if self.measures.is_busy() {
             ctx.set_cursor_icon(egui::CursorIcon::Grab);
@@ -58,19 +79,26 @@ impl<S: FrameSource> ViewerApp<S> {
         let Some(description) = self.viewing.source().description() else { return };
         let view = ClipView { rect, camera: refresh.camera, bounds: refresh.bounds };
         let pen = self.aids.pen(ui.painter());
-        self.measures.paint(&pen, &view, &measure::scale(&description.volume));
-        let has_dialog = self.shows_help || self.screenshots.is_dialog_open() || self.open_dialog.is_open();
-        if let Some(wanted) = self.measure_pane.wanted(self.measures.measures(), &description) {
-            let id = self.viewing.source().talk().profile.ask(wanted.ends, wanted.num_points);
-            self.measure_pane.note_asked(&wanted, &description, id);
-        }
-        if has_dialog || !self.shows_bars {
-            return;
+        let scale = measure::scale(&description.volume);
+        self.measures.paint(&pen, &view, &scale);
+        for pane in self.slices.views() {
+            // A part of the picture's painter would end at the picture.
+            let mut painter = ui.painter().clone();
+            painter.set_clip_rect(pane.rect);
+            self.measures.paint(&slices::pen(&painter), &pane, &scale);
         }
         let answer = self.viewing.source().talk().profile.answer().cloned();
+        self.measure_pane.note_answer(answer.as_ref());
+        if let Some(wanted) = self.measure_pane.wanted(self.measures.measures(), &description) {
+            let id = self.viewing.source().talk().profile.ask(wanted.ends(), wanted.num_points);
+            self.measure_pane.note_asked(&wanted, id);
+        }
+        if self.has_dialog() || !self.shows_bars {
+            return;
+        }
         let (room, ctx) = (self.room_at_top(), ui.ctx());
         let volume = &description.volume;
-        self.measure_pane.show(ctx, room, &mut self.measures, volume, answer.as_ref(), &waker_of(ctx));
+        self.measure_pane.show(ctx, room, &mut self.measures, volume, &waker_of(ctx));
     }
 
     /// A click in the picture means a point, not the centre of rotation.

@@ -12,6 +12,7 @@ mod picture;
 mod refresh;
 pub(crate) mod script;
 mod sections;
+mod shown_volume;
 pub(crate) mod side_panel;
 mod slices;
 mod state;
@@ -32,6 +33,7 @@ use self::choices::ChoiceKeeper;
 use self::measure::SeenPicture;
 use self::open_dialog::OpenDialog;
 use self::options::{USUAL_HZ, WindowOptions};
+use self::shown_volume::ShownVolume;
 use self::state::ComingState;
 pub(crate) use self::state::theme_preference;
 use crate::input::bindings::{Action, Focus};
@@ -54,7 +56,6 @@ use crate::panels::screenshots::Screenshots;
 use crate::panels::slices::SlicePanes;
 use crate::panels::state_files::StateFiles;
 use crate::panels::transfer::TransferEditor;
-use crate::panels::value_scale::ValueScale;
 use crate::view::frame_source::FrameSource;
 use crate::view::local_servers::LocalServers;
 use crate::view::quality_control::QualityControl;
@@ -92,6 +93,7 @@ pub(crate) enum AppWish {
 pub(crate) struct ViewerApp<S> {
     options: WindowOptions,
     viewing: Viewing<S>,
+    shown_volume: Option<ShownVolume>,
     controls: Option<(Aabb, CameraControls)>,
     moves: CameraMoves,
     /// Whether the camera is on its way to a chosen view.
@@ -187,6 +189,7 @@ impl<S: FrameSource> ViewerApp<S> {
             clip_bounds: None,
             options,
             viewing,
+            shown_volume: None,
             controls: None,
             moves: CameraMoves::default(),
             is_turning: false,
@@ -249,6 +252,7 @@ impl<S: FrameSource> ViewerApp<S> {
         (self.editor, self.parts_bar) = (TransferEditor::default(), PartsBar::default());
         self.gallery = Gallery::default();
         self.slices.forget();
+        self.shown_volume = None;
         self.measures.set(Vec::new());
         (self.measure_pane, self.seen_picture) = (MeasurePane::default(), None);
         self.keeper.turn();
@@ -325,8 +329,9 @@ impl<S: FrameSource> ViewerApp<S> {
             .with_up(self.up_axis)
     }
 
-    fn value_scale(&self) -> Option<ValueScale> {
-        Some(ValueScale::of(&self.viewing.source().description()?.volume))
+    /// Whether a dialog lies over the picture.
+    fn has_dialog(&self) -> bool {
+        self.shows_help || self.screenshots.is_dialog_open() || self.open_dialog.is_open()
     }
 
     fn tell(&mut self, now: Duration, text: impl Into<String>) {

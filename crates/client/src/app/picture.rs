@@ -17,7 +17,6 @@ use crate::paint::stereo::Stereo;
 use crate::paint::view_aids::{self, ViewAids, pixel_at};
 use crate::panels::style;
 use crate::panels::text::format_in;
-use crate::panels::value_scale::ValueScale;
 use crate::view::frame_source::FrameSource;
 use crate::view::pick::visible_point;
 use crate::view::viewing::{Refresh, Standing};
@@ -146,7 +145,8 @@ impl<S: FrameSource> ViewerApp<S> {
 
     fn paint_legend(&self, ui: &egui::Ui, rect: egui::Rect, description: &Welcome) {
         let (Some(look), Some(bar)) = (self.viewing.look(), Legend::rect(rect)) else { return };
-        let domain = ValueScale::of(&description.volume).domain(&look.transfer.domain);
+        let Some(scale) = self.value_scale() else { return };
+        let domain = scale.domain(&look.transfer.domain);
         let legend = Legend {
             transfer: &look.transfer,
             domain,

@@ -29,6 +29,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let elapsed = now.saturating_sub(self.last_refresh);
         self.last_refresh = now;
         style::install(&ctx);
+        self.follow_volume(now);
         self.show_bars(ui, now);
         self.set_modes(now);
         let rect = self.room;
@@ -47,10 +48,11 @@ impl<S: FrameSource> ViewerApp<S> {
             self.pointer.end_drag();
             self.clip_editor.end_drag();
             self.measures.end_drag();
+            self.slices.end_drag();
         }
         self.drop_empty_clip(now);
         self.drag_clip(&ctx, now, &mut events);
-        self.drag_measures(&ctx, &mut events);
+        self.drag_measures(&ctx, now, &mut events);
         let free = |at| is_free(&ctx, rect, at);
         let mut input =
             self.pointer.control_input(&self.options.bindings, &events, rect, ctx.pixels_per_point(), free);
@@ -177,7 +179,7 @@ impl<S: FrameSource> ViewerApp<S> {
         self.controls(&picture)?;
         let (bounds, controls) = self.controls.as_mut()?;
         controls.apply(input, &picture);
-        self.is_turning = self.moves.follow(now, controls, is_by_hand, is_held);
+        self.is_turning = self.moves.follow(now, (controls, is_orthographic), is_by_hand, is_held);
         let (bounds, pose) = (*bounds, controls.pose());
         let camera = match is_orthographic {
             true => controls.parallel_camera(picture, &bounds),

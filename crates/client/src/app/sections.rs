@@ -33,8 +33,8 @@ impl<S: FrameSource> ViewerApp<S> {
         };
         let description = self.viewing.source().description()?;
         let volume = &description.volume;
-        let legend = self.viewing.look().map(|look| LegendSubject {
-            range: ValueScale::of(volume).domain(&look.transfer.domain),
+        let legend = self.viewing.look().zip(self.value_scale()).map(|(look, scale)| LegendSubject {
+            range: scale.domain(&look.transfer.domain),
             unit: volume.value_unit.clone(),
             look,
         });
@@ -82,8 +82,7 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Requests the value under the pointer, and shows what is known of it.
     pub(super) fn show_probe(&mut self, ctx: &egui::Context, rect: egui::Rect, refresh: &Refresh) {
         // The probe must not cover a dialog.
-        let has_dialog = self.shows_help || self.screenshots.is_dialog_open() || self.open_dialog.is_open();
-        if !self.probe.is_on() || !self.stereo().is_mono() || has_dialog {
+        if !self.probe.is_on() || !self.stereo().is_mono() || self.has_dialog() {
             return;
         }
         let at = ctx.pointer_latest_pos().filter(|at| is_free(ctx, rect, *at));

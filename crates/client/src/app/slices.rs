@@ -1,7 +1,7 @@
 //! The slices beside the picture: their rooms, their requests, and their planes in the picture.
 
 use egui::{Panel, Ui};
-use glam::Quat;
+use glam::{Quat, Vec3};
 use isinglass_core::ids::ProbeId;
 use isinglass_core::wire::{Probed, ProbedVoxel, VolumeDescription};
 use isinglass_formats::{SavedPlane, SavedSlices};
@@ -9,11 +9,11 @@ use isinglass_formats::{SavedPlane, SavedSlices};
 use super::ViewerApp;
 use crate::input::bindings::{Action, Side};
 use crate::paint::slice_planes::{self, TexturedSlice};
+use crate::panels::probe;
 use crate::panels::slices::{self, PaneScene, Pointed, STRIP_HEIGHT};
 use crate::panels::style::bar;
-use crate::panels::{probe, value_scale::ValueScale};
 use crate::view::frame_source::FrameSource;
-use crate::view::planes::{PlaneChoice, Slab, Stack};
+use crate::view::planes::{PlaneChoice, Slab, Stack, orientation_of_planes};
 use crate::view::viewing::Refresh;
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -23,8 +23,9 @@ impl<S: FrameSource> ViewerApp<S> {
             return;
         };
         let ctx = ui.ctx().clone();
-        let (volume, orientation) = (&description.volume, self.orientation());
-        let scale = ValueScale::of(volume);
+        let volume = &description.volume;
+        let orientation = orientation_of_planes(volume.orientation.as_deref(), self.up_axis);
+        let Some(scale) = self.value_scale() else { return };
         let longest = volume.bounds().radius() * 2.0;
         let strip = Panel::bottom("strip of slices").frame(bar(&ctx)).exact_size(STRIP_HEIGHT);
         let (unit, bindings) = (volume.unit.as_deref(), &self.options.bindings);
@@ -40,9 +41,18 @@ impl<S: FrameSource> ViewerApp<S> {
             let stack = &stacks[number];
             let spec = stack.spec(stack.index_of(self.slices.point), self.slices.slab);
             let slice = spec.and_then(|spec| self.viewing.source().talk().slices.get(&spec));
-            let has_keys = self.slices.active() == number;
-            let (orientation, scale) = (&orientation, &scale);
-            let scene = PaneScene { rect, orientation, scale, slice, world_from_view, has_keys };
+            let scene = PaneScene {
+                rect,
+                orientation: &orientation,
+                scale: &scale,
+                slice,
+                world_from_view,
+                has_keys: self.slices.active() == number,
+                has_dialog: self.has_dialog(),
+                reverses_wheel: self.options.bindings.reverses_wheel,
+                is_measuring: self.is_measuring(),
+                drags_measure: self.measures.is_busy(),
+            };
             if let Some(pointed) = self.slices.show_pane(ui, number, &stacks, &scene) {
                 let Pointed { point, value } = pointed;
                 let voxel = probe::voxel_at(point, volume);
@@ -52,8 +62,9 @@ impl<S: FrameSource> ViewerApp<S> {
                 slices::show_pointed(ui, rect, &[value, place]);
             }
         }
-        // The planes may have changed just now.
-        let specs = self.slices.wanted(&self.stacks(volume));
+        // Planes that have changed just now are requested in the next refresh, which follows at once.
+        let specs = self.slices.wanted(&stacks);
+        self.slices.note_stacks(stacks);
         let mut talk = self.viewing.source().talk();
         if talk.slices.is_news(&specs) {
             talk.slices.want(&specs);
@@ -64,24 +75,21 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     pub(super) fn stacks(&self, volume: &VolumeDescription) -> [Stack; 3] {
-        let orientation = self.orientation();
+        let orientation = orientation_of_planes(volume.orientation.as_deref(), self.up_axis);
         self.slices.choices().map(|choice| Stack::new(choice, &orientation, volume))
     }
 
     /// Nothing is requested while no slice is shown.
-    pub(super) fn toggle_slices(&mut self) {
-        self.slices.toggle();
-        if !self.slices.is_on() {
+    pub(super) fn set_slices_on(&mut self, is_on: bool) {
+        self.slices.set_on(is_on);
+        if !is_on {
             self.viewing.source().talk().slices.want(&[]);
         }
     }
 
     /// Draws the planes of the panes into the picture.
     pub(super) fn paint_planes(&self, ui: &Ui, rect: egui::Rect, refresh: &Refresh) {
-        let Some(description) = self.viewing.source().description().filter(|_| self.slices.is_on()) else {
-            return;
-        };
-        let stacks = self.stacks(&description.volume);
+        let Some(stacks) = self.slices.stacks() else { return };
         let pen = self.aids.pen(ui.painter());
         let pictures =
             self.slices.pictures().filter(|_| self.slices.is_in_picture).map(|(number, texture, grid)| {
@@ -116,9 +124,11 @@ impl<S: FrameSource> ViewerApp<S> {
     }
 
     pub(super) fn restore_slices(&mut self, saved: &SavedSlices) {
-        self.slices.set_on(saved.shown);
+        self.set_slices_on(saved.shown);
         self.slices.is_in_picture = saved.in_picture;
-        self.slices.point = saved.point.into();
+        let bounds = self.viewing.source().description().map(|description| description.volume.bounds());
+        let point = Vec3::from_array(saved.point);
+        self.slices.point = bounds.map_or(point, |bounds| point.clamp(bounds.min, bounds.max));
         self.slices.slab = Slab { thickness: saved.thickness, mode: saved.mode };
         self.slices.window = saved.window.map(|[lo, hi]| (lo, hi));
         for (pane, plane) in saved.planes.into_iter().enumerate() {

@@ -23,16 +23,18 @@ impl<S: FrameSource> ViewerApp<S> {
         change: impl FnOnce(&mut CameraControls),
     ) {
         let Some((_, mut controls)) = self.controls(picture).cloned() else { return };
-        let from = Viewpoint::of(&controls);
+        let from = Viewpoint::of(&controls, self.is_orthographic);
         change(&mut controls);
-        self.moves.turn(now, from, Viewpoint::of(&controls));
+        self.moves.turn(now, from, Viewpoint::of(&controls, self.is_orthographic));
     }
 
     /// Turns back to the view before the newest gesture, or on to the one after.
     pub(super) fn step_view(&mut self, now: Duration, picture: &Intrinsics, is_back: bool) {
-        if let Some((_, controls)) = self.controls(picture) {
-            let from = Viewpoint::of(controls);
-            self.moves.step(now, from, is_back);
+        let is_orthographic = self.is_orthographic;
+        let Some((_, controls)) = self.controls(picture) else { return };
+        let from = Viewpoint::of(controls, is_orthographic);
+        if let Some(to) = self.moves.step(now, from, is_back) {
+            self.is_orthographic = to.is_orthographic;
         }
     }
 
@@ -89,11 +91,12 @@ impl<S: FrameSource> ViewerApp<S> {
             NamedViewWish::Show(number) => {
                 let Some(view) = self.named_views.get(number).cloned() else { return };
                 let Some((_, controls)) = &self.controls else { return };
-                let from = Viewpoint::of(controls);
+                let from = Viewpoint::of(controls, self.is_orthographic);
                 let (center, world_from_view, eye_from_center) = view.viewpoint();
-                let to = Viewpoint { center, world_from_view, eye_from_center };
+                let is_orthographic = view.orthographic;
+                let to = Viewpoint { center, world_from_view, eye_from_center, is_orthographic };
                 if to.place(&mut controls.clone()) {
-                    self.is_orthographic = view.orthographic;
+                    self.is_orthographic = is_orthographic;
                     self.moves.turn(now, from, to);
                 } else {
                     self.tell(now, "That view is too near to this volume or too far away");

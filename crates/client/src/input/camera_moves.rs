@@ -16,12 +16,14 @@ pub(crate) struct Viewpoint {
     pub(crate) world_from_view: Quat,
     /// View space.
     pub(crate) eye_from_center: Vec3,
+    /// Whether its rays are parallel.
+    pub(crate) is_orthographic: bool,
 }
 
 impl Viewpoint {
-    pub(crate) fn of(controls: &CameraControls) -> Self {
+    pub(crate) fn of(controls: &CameraControls, is_orthographic: bool) -> Self {
         let (world_from_view, eye_from_center) = controls.placement();
-        Self { center: controls.center(), world_from_view, eye_from_center }
+        Self { center: controls.center(), world_from_view, eye_from_center, is_orthographic }
     }
 
     /// Moves the camera here. Returns whether the controls can reach it.
@@ -36,6 +38,7 @@ impl Viewpoint {
             center: self.center.lerp(to.center, t),
             world_from_view: self.world_from_view.slerp(to.world_from_view, t).normalize(),
             eye_from_center: self.eye_from_center.lerp(to.eye_from_center, t).with_z(depth),
+            is_orthographic: to.is_orthographic,
         }
     }
 }
@@ -50,6 +53,8 @@ pub(crate) struct CameraMoves {
     last: Option<Viewpoint>,
     /// The view of the refresh before, and when it changed.
     seen: Option<(Viewpoint, Duration)>,
+    /// Whether a drag went on then.
+    was_held: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -79,8 +84,8 @@ impl CameraMoves {
         self.travel = Some(Travel { from, to, began: now });
     }
 
-    /// Turns to the view before the newest gesture, or on to the one after.
-    pub(crate) fn step(&mut self, now: Duration, from: Viewpoint, is_back: bool) {
+    /// Turns to the view before the newest gesture, or on to the one after. Returns that view.
+    pub(crate) fn step(&mut self, now: Duration, from: Viewpoint, is_back: bool) -> Option<Viewpoint> {
         if self.travel.is_none() {
             self.note(from);
         }
@@ -88,10 +93,11 @@ impl CameraMoves {
             true => (&mut self.past, &mut self.future),
             false => (&mut self.future, &mut self.past),
         };
-        let (Some(to), Some(last)) = (taken.pop(), self.last) else { return };
+        let (to, last) = taken.pop().zip(self.last)?;
         kept.push(last);
         self.last = Some(to);
         self.travel = Some(Travel { from, to, began: now });
+        Some(to)
     }
 
     /// Moves the camera on its way to a chosen view, unless the hand has taken it. `is_held`: a drag goes on.
@@ -99,10 +105,11 @@ impl CameraMoves {
     pub(crate) fn follow(
         &mut self,
         now: Duration,
-        controls: &mut CameraControls,
+        (controls, is_orthographic): (&mut CameraControls, bool),
         is_by_hand: bool,
         is_held: bool,
     ) -> bool {
+        let was_turning = self.travel.is_some();
         self.travel.take_if(|_| is_by_hand);
         if let Some(Travel { from, to, began }) = self.travel {
             let t = now.saturating_sub(began).as_secs_f32() / TRAVEL_TIME.as_secs_f32();
@@ -114,10 +121,15 @@ impl CameraMoves {
                 self.travel = None;
             }
         }
-        let present = Viewpoint::of(controls);
+        let present = Viewpoint::of(controls, is_orthographic);
         if self.seen.is_none_or(|(seen, _)| seen != present) {
-            self.seen = Some((present, now));
+            // The display may have slept through the pause after the gesture before.
+            let before = self.seen.replace((present, now)).filter(|_| !was_turning && !self.was_held);
+            if let Some((before, _)) = before.filter(|(_, since)| now >= *since + PAUSE) {
+                self.note(before);
+            }
         }
+        self.was_held = is_held;
         let is_quiet = self.seen.is_some_and(|(_, since)| now >= since + PAUSE);
         if self.last.is_none() || (self.travel.is_none() && is_quiet && !is_held) {
             self.note(present);
@@ -172,14 +184,14 @@ mod tests {
         }
 
         fn view(&self) -> Viewpoint {
-            Viewpoint::of(&self.controls)
+            Viewpoint::of(&self.controls, false)
         }
 
         /// Refreshes of a display at 60 Hz.
         fn rest(&mut self, number: u32) {
             for _ in 0..number {
                 self.now += Duration::from_micros(16_667);
-                self.moves.follow(self.now, &mut self.controls, false, false);
+                self.moves.follow(self.now, (&mut self.controls, false), false, false);
             }
         }
 
@@ -187,8 +199,14 @@ mod tests {
             for _ in 0..6 {
                 self.now += Duration::from_micros(16_667);
                 self.controls.orbit([x, 3.0], &PICTURE);
-                self.moves.follow(self.now, &mut self.controls, true, true);
+                self.moves.follow(self.now, (&mut self.controls, false), true, true);
             }
+        }
+
+        /// A notch of the wheel or a key, with one refresh.
+        fn notch(&mut self, x: f32) {
+            self.controls.orbit([x, 0.0], &PICTURE);
+            self.moves.follow(self.now, (&mut self.controls, false), true, false);
         }
 
         fn step(&mut self, is_back: bool) {
@@ -239,12 +257,42 @@ mod tests {
     }
 
     #[test]
+    fn a_pause_without_a_refresh_parts_two_gestures() {
+        for (pause, entries) in [(PAUSE * 3, 2), (PAUSE / 3, 1)] {
+            let mut s = Stage::new();
+            s.rest(60);
+            s.notch(10.0);
+            let between = s.view();
+            // Nothing happens, so the display sleeps.
+            s.now += pause;
+            s.notch(20.0);
+            s.rest(60);
+            assert_eq!(s.moves.past.len(), entries, "{pause:?}");
+            s.step(true);
+            s.rest(20);
+            assert_eq!(s.view() == between, entries == 2);
+        }
+        // A drag that rests for a while is one gesture, and a turn to a chosen view is another.
+        let mut s = Stage::new();
+        s.rest(60);
+        s.drag(5.0);
+        s.now += PAUSE * 3;
+        s.drag(5.0);
+        s.now += PAUSE * 3;
+        let mut target = s.controls.clone();
+        target.look_from(Vec3::X, Vec3::Y);
+        s.moves.turn(s.now, s.view(), Viewpoint::of(&target, false));
+        s.rest(60);
+        assert_eq!(s.moves.past.len(), 2, "{:?}", s.moves.past);
+    }
+
+    #[test]
     fn a_turn_goes_smoothly_to_its_end_and_the_hand_stops_it() {
         let mut s = Stage::new();
         let first = s.view();
         let mut target = s.controls.clone();
         target.look_from(Vec3::X, Vec3::Y);
-        let to = Viewpoint::of(&target);
+        let to = Viewpoint::of(&target, false);
         s.moves.turn(s.now, first, to);
         let mut left = first.world_from_view.angle_between(to.world_from_view);
         let whole = left;

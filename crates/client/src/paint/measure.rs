@@ -1,7 +1,7 @@
-//! Measurements in the picture: points on surfaces under the user's hand, lines between them, and what they measure.
+//! Measurements in the picture and on slices: points under the user's hand, lines between them, and what they measure.
 //!
 //! A short click sets a point where something is visible. A point can be dragged. A longer drag that begins beside the
-//! points moves the camera as ever.
+//! points moves the camera, or the point of the slices, as ever.
 
 use egui::{Align2, Color32, Event, PointerButton, Pos2, vec2};
 use glam::Vec3;
@@ -20,12 +20,48 @@ pub(crate) struct MeasureEditor {
     /// Points of a measurement that lacks some, or of a path that goes on.
     begun: Vec<[f32; 3]>,
     hovered: Option<PointPlace>,
-    drag: Option<PointPlace>,
+    /// The point that is dragged, and where the drag began.
+    drag: Option<(PointPlace, Pos2)>,
     pressed_at: Option<Pos2>,
+    /// Whether a point was refused because there are too many measurements.
+    is_refused: bool,
 }
 
 /// A point: the number of its measurement, and its own.
 type PointPlace = (usize, usize);
+
+/// What measurements are drawn on: the picture, or a slice.
+pub(crate) trait Canvas {
+    /// A line of the world on the screen.
+    fn ends(&self, a: Vec3, b: Vec3) -> Option<[Pos2; 2]>;
+
+    /// Whether a point of the world lies in what is shown, and not before or behind it.
+    fn holds(&self, point: Vec3) -> bool;
+
+    fn on_screen(&self, point: [f32; 3]) -> Option<Pos2> {
+        let point = Vec3::from_array(point);
+        self.ends(point, point).map(|[at, _]| at)
+    }
+}
+
+impl Canvas for ClipView {
+    fn ends(&self, a: Vec3, b: Vec3) -> Option<[Pos2; 2]> {
+        projected(&self.camera.basis(), self.rect, a, b)
+    }
+
+    fn holds(&self, _point: Vec3) -> bool {
+        true
+    }
+}
+
+/// Where points are set.
+pub(crate) struct Ground<'a> {
+    pub(crate) canvas: &'a dyn Canvas,
+    /// Finds the visible point of the volume under a point of the screen.
+    pub(crate) pick: Box<dyn Fn(Pos2) -> Option<Vec3> + 'a>,
+    /// Whether a point of the screen is its own, and no panel covers it.
+    pub(crate) is_free: Box<dyn Fn(Pos2) -> bool + 'a>,
+}
 
 impl Default for MeasureEditor {
     fn default() -> Self {
@@ -37,6 +73,7 @@ impl Default for MeasureEditor {
             hovered: None,
             drag: None,
             pressed_at: None,
+            is_refused: false,
         }
     }
 }
@@ -96,42 +133,48 @@ impl MeasureEditor {
         self.hovered.is_some() || self.drag.is_some()
     }
 
-    /// Takes the events of the points out of a refresh's events. `pick` finds the visible point of the volume under a
-    /// point of the screen. `is_free`: no panel covers a point. Returns whether something changed.
-    pub(crate) fn take_events(
-        &mut self,
-        events: &mut Vec<Event>,
-        view: &ClipView,
-        pick: impl Fn(Pos2) -> Option<Vec3>,
-        is_free: impl Fn(Pos2) -> bool,
-    ) -> bool {
+    /// Moves all points.
+    pub(crate) fn shift(&mut self, by: Vec3) {
+        let points = self.done.iter_mut().flat_map(|measure| &mut measure.points).chain(&mut self.begun);
+        points.for_each(|point| *point = (Vec3::from_array(*point) + by).to_array());
+    }
+
+    /// Whether a point was refused since the last call, because there are [`MAX_MEASURES`] measurements.
+    pub(crate) fn take_refusal(&mut self) -> bool {
+        std::mem::take(&mut self.is_refused)
+    }
+
+    /// Takes the events of the points out of a refresh's events. Returns whether something changed.
+    pub(crate) fn take_events(&mut self, events: &mut Vec<Event>, grounds: &[Ground<'_>]) -> bool {
         if !self.is_on {
             return false;
         }
+        let ground_at = |at: Pos2| grounds.iter().find(|ground| (ground.is_free)(at));
         let (mut dragged_to, mut changed) = (None, false);
         events.retain(|event| match event {
             Event::PointerMoved(to) => {
                 match self.drag {
-                    Some(place) => dragged_to = Some((place, *to)),
-                    None => self.hovered = self.point_at(view, *to).filter(|_| is_free(*to)),
+                    Some(drag) => dragged_to = Some((drag, *to)),
+                    None => self.hovered = ground_at(*to).and_then(|ground| self.point_at(ground, *to)),
                 }
                 true
             }
             Event::PointerButton { pos, button: PointerButton::Primary, pressed: true, modifiers } => {
-                self.hovered = self.point_at(view, *pos).filter(|_| is_free(*pos));
-                self.drag = self.hovered;
-                let can_set = self.drag.is_none() && modifiers.is_none() && is_free(*pos);
+                let ground = ground_at(*pos);
+                self.hovered = ground.and_then(|ground| self.point_at(ground, *pos));
+                self.drag = self.hovered.map(|place| (place, *pos));
+                let can_set = self.drag.is_none() && modifiers.is_none() && ground.is_some();
                 self.pressed_at = can_set.then_some(*pos);
                 self.drag.is_none()
             }
             Event::PointerButton { pos, button: PointerButton::Primary, pressed: false, .. } => {
-                if let Some(place) = self.drag.take() {
-                    dragged_to = Some((place, *pos));
+                if let Some(drag) = self.drag.take() {
+                    dragged_to = Some((drag, *pos));
                     return false;
                 }
-                let is_click = self.pressed_at.take().is_some_and(|at| at.distance(*pos) < CLICK_POINTS);
-                if is_click {
-                    changed |= self.click(view, *pos, &pick);
+                let pressed_at = self.pressed_at.take().filter(|at| at.distance(*pos) < CLICK_POINTS);
+                if let Some(ground) = pressed_at.and_then(ground_at) {
+                    changed |= self.click(ground, *pos);
                 }
                 true
             }
@@ -142,9 +185,9 @@ impl MeasureEditor {
             }
             _ => true,
         });
-        // Of many movements in a refresh, the last counts.
-        if let Some(((number, point), to)) = dragged_to
-            && let Some(found) = pick(to)
+        // Of many movements in a refresh, the last counts. A point stays on the ground where its drag began.
+        if let Some((((number, point), from), to)) = dragged_to
+            && let Some(found) = ground_at(from).and_then(|ground| (ground.pick)(to))
             && let Some(place) = self.done.get_mut(number).and_then(|m| m.points.get_mut(point))
         {
             changed |= *place != found.to_array();
@@ -154,15 +197,16 @@ impl MeasureEditor {
     }
 
     /// Sets a point. A click on the last point of a path ends the path.
-    fn click(&mut self, view: &ClipView, at: Pos2, pick: impl Fn(Pos2) -> Option<Vec3>) -> bool {
-        let is_at_last = self.begun.last().and_then(|p| on_screen(view, *p));
+    fn click(&mut self, ground: &Ground<'_>, at: Pos2) -> bool {
+        let is_at_last = self.begun.last().and_then(|p| ground.canvas.on_screen(*p));
         if self.kind == MeasureKind::Path && is_at_last.is_some_and(|last| last.distance(at) < GRAB_POINTS) {
             self.finish();
             return true;
         }
-        let Some(point) = pick(at) else { return false };
+        let Some(point) = (ground.pick)(at) else { return false };
         if self.done.len() >= MAX_MEASURES {
-            return false;
+            self.is_refused = true;
+            return true;
         }
         self.begun.push(point.to_array());
         let most = match self.kind {
@@ -181,58 +225,59 @@ impl MeasureEditor {
         self.done.push(SavedMeasure { kind: self.kind, points });
     }
 
-    fn point_at(&self, view: &ClipView, at: Pos2) -> Option<PointPlace> {
+    fn point_at(&self, ground: &Ground<'_>, at: Pos2) -> Option<PointPlace> {
         let places = self.done.iter().enumerate().flat_map(|(number, measure)| {
             measure.points.iter().enumerate().map(move |(point, p)| ((number, point), *p))
         });
-        let near = places.filter_map(|(place, p)| {
-            let distance = on_screen(view, p)?.distance(at);
-            (distance < GRAB_POINTS).then_some((place, distance))
-        });
+        let near =
+            places.filter(|(_, p)| ground.canvas.holds(Vec3::from_array(*p))).filter_map(|(place, p)| {
+                let distance = ground.canvas.on_screen(p)?.distance(at);
+                (distance < GRAB_POINTS).then_some((place, distance))
+            });
         near.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(place, _)| place)
     }
 
     /// Draws all measurements. `scale` tells lengths.
-    pub(crate) fn paint(&self, pen: &Pen<'_>, view: &ClipView, scale: &LengthScale<'_>) {
+    pub(crate) fn paint(&self, pen: &Pen<'_>, canvas: &dyn Canvas, scale: &LengthScale<'_>) {
         if !self.is_on {
             return;
         }
+        let busy = self.drag.map(|(place, _)| place).or(self.hovered);
         for (number, measure) in self.done.iter().enumerate() {
-            let is_busy = |point| self.drag.or(self.hovered) == Some((number, point));
-            paint_points(pen, view, &measure.points, is_busy);
+            paint_points(pen, canvas, &measure.points, |point| busy == Some((number, point)));
             let at = match measure.kind {
                 MeasureKind::Distance | MeasureKind::Profile => middle(&measure.points),
                 MeasureKind::Angle => measure.points.get(1).copied(),
                 MeasureKind::Path => measure.points.last().copied(),
             };
-            if let Some(at) = at.and_then(|at| on_screen(view, at)) {
+            let at = at.filter(|at| canvas.holds(Vec3::from_array(*at)));
+            if let Some(at) = at.and_then(|at| canvas.on_screen(at)) {
                 let text = format!("{}: {}", number + 1, scale.told(measure));
                 pen.text(at + vec2(0.0, -9.0), Align2::CENTER_BOTTOM, &text, 13.0, LINE);
             }
         }
-        paint_points(pen, view, &self.begun, |_| false);
+        paint_points(pen, canvas, &self.begun, |_| false);
     }
 }
 
-fn paint_points(pen: &Pen<'_>, view: &ClipView, points: &[[f32; 3]], is_busy: impl Fn(usize) -> bool) {
-    let basis = view.camera.basis();
+/// Draws points and the lines between them; faint where the canvas does not show that part of the volume.
+fn paint_points(pen: &Pen<'_>, canvas: &dyn Canvas, points: &[[f32; 3]], is_busy: impl Fn(usize) -> bool) {
+    let strength = |points: &[[f32; 3]]| {
+        let is_shown = points.iter().all(|point| canvas.holds(Vec3::from_array(*point)));
+        if is_shown { 1.0 } else { FAINT }
+    };
     for pair in points.windows(2) {
         let [a, b] = [pair[0], pair[1]].map(Vec3::from_array);
-        if let Some(ends) = projected(&basis, view.rect, a, b) {
-            pen.line(ends, 2.0, LINE);
+        if let Some(ends) = canvas.ends(a, b) {
+            pen.line(ends, 2.0, LINE.gamma_multiply(strength(pair)));
         }
     }
     for (i, point) in points.iter().enumerate() {
-        if let Some(at) = on_screen(view, *point) {
+        if let Some(at) = canvas.on_screen(*point) {
             let (radius, color) = if is_busy(i) { (7.0, Color32::WHITE) } else { (4.5, LINE) };
-            pen.disc(at, radius, color);
+            pen.disc(at, radius, color.gamma_multiply(strength(&[*point])));
         }
     }
-}
-
-fn on_screen(view: &ClipView, point: [f32; 3]) -> Option<Pos2> {
-    let point = Vec3::from_array(point);
-    projected(&view.camera.basis(), view.rect, point, point).map(|[at, _]| at)
 }
 
 fn middle(points: &[[f32; 3]]) -> Option<[f32; 3]> {
@@ -272,10 +317,19 @@ pub(crate) struct LengthScale<'a> {
 impl LengthScale<'_> {
     /// A length with its unit, to a tenth of a voxel.
     pub(crate) fn length(&self, length: f64) -> String {
-        let decimals = (1.0 - f64::from(self.finest).log10()).ceil().clamp(0.0, 6.0) as usize;
-        let number = match length != 0.0 && length < 0.5 * 0.1f64.powi(6) {
-            true => format!("{length:.3e}"),
-            false => format!("{length:.decimals$}"),
+        let finest = f64::from(self.finest);
+        let decimals = (1.0 - finest.log10()).ceil().clamp(0.0, 6.0) as usize;
+        let number = if length == 0.0 {
+            format!("{length:.decimals$}")
+        } else if finest < LEAST_WITHOUT_EXPONENT {
+            // 10⁻⁶ in single precision is a little less than that.
+            let power = |length: f64| (length.log10() + 1e-6).floor();
+            let figures = (1.0 + power(length) - power(finest)).clamp(1.0, 9.0) as usize;
+            format!("{length:.figures$e}")
+        } else if length < 0.5 * 0.1f64.powi(6) {
+            format!("{length:.3e}")
+        } else {
+            format!("{length:.decimals$}")
         };
         format!("{number} {}", self.unit.unwrap_or("units"))
     }
@@ -289,8 +343,12 @@ impl LengthScale<'_> {
     }
 }
 
+/// Lengths of smaller voxels are told with an exponent.
+const LEAST_WITHOUT_EXPONENT: f64 = 1e-4;
 /// Colour of lines and points.
 const LINE: Color32 = Color32::from_rgb(255, 205, 90);
+/// Strength of what lies beside a slice.
+const FAINT: f32 = 0.25;
 /// A release nearer to its press is a click, points.
 const CLICK_POINTS: f32 = 4.0;
 /// The pointer takes points up to this distance, points.
@@ -325,7 +383,9 @@ mod tests {
     }
 
     fn feed(editor: &mut MeasureEditor, mut events: Vec<Event>) -> usize {
-        editor.take_events(&mut events, &view(), wall, |_| true);
+        let view = view();
+        let ground = Ground { canvas: &view, pick: Box::new(wall), is_free: Box::new(|_| true) };
+        editor.take_events(&mut events, &[ground]);
         events.len()
     }
 
@@ -387,8 +447,10 @@ mod tests {
         editor.choose(MeasureKind::Distance);
         let state = editor.measures()[0].clone();
         editor.set(vec![state; MAX_MEASURES]);
+        assert!(!editor.take_refusal());
         click(&mut editor, 160.0, 20.0);
         assert_eq!((editor.num_begun(), editor.measures().len()), (0, MAX_MEASURES));
+        assert!(editor.take_refusal() && !editor.take_refusal());
     }
 
     #[test]
@@ -402,6 +464,10 @@ mod tests {
         let scale = LengthScale { unit: None, finest: 3.0 };
         assert_eq!(scale.length(1e-9), "1.000e-9 units");
         assert_eq!(scale.length(0.0), "0.0 units");
+        let small = LengthScale { unit: Some("m"), finest: 1e-6 };
+        assert_eq!([1.3e-6, 1.234_56e-3].map(|l| small.length(l)), ["1.3e-6 m", "1.2346e-3 m"]);
+        let less_small = LengthScale { unit: Some("m"), finest: 2e-4 };
+        assert_eq!(less_small.length(1.3e-3), "0.00130 m", "control");
         assert_eq!(angle_degrees(&[[1.0; 3]; 3]), 0.0, "points in one place");
     }
 }

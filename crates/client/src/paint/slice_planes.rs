@@ -43,13 +43,21 @@ pub(crate) fn paint_textured(pen: &Pen<'_>, rect: Rect, camera: &Camera, slices:
     let is_parallel = camera.intrinsics.projection.is_orthographic();
     let eye = if is_parallel { camera.pose.eye - basis.forward * FAR_AWAY } else { camera.pose.eye };
     for slice in back_to_front(slices, eye) {
-        let mut mesh = Mesh::with_texture(slice.texture);
-        let middle = slice.corners.iter().sum::<Vec3>() / slice.corners.len().max(1) as f32;
-        for (a, b) in slice.corners.iter().zip(slice.corners.iter().cycle().skip(1)) {
-            add_triangle(&mut mesh, &basis, rect, &slice.grid, [middle, *a, *b], DIVISIONS);
-        }
-        pen.painter.add(mesh);
+        pen.painter.add(mesh_of(&slice, &basis, rect));
     }
+}
+
+/// What lies before the eye of a slice on the screen.
+fn mesh_of(slice: &TexturedSlice, basis: &Basis, rect: Rect) -> Mesh {
+    let mut mesh = Mesh::with_texture(slice.texture);
+    let depth = |p: Vec3| basis.pixel_from_point(p).z;
+    let near = slice.corners.iter().map(|p| depth(*p)).fold(0.0, f32::max) * NEAR;
+    let corners = clipped(&slice.corners, |p| depth(p) - near);
+    let middle = corners.iter().sum::<Vec3>() / corners.len().max(1) as f32;
+    for (a, b) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+        add_triangle(&mut mesh, basis, rect, &slice.grid, [middle, *a, *b], DIVISIONS);
+    }
+    mesh
 }
 
 /// Cuts slices where they meet, and orders the pieces by what hides what from `eye`.
@@ -105,16 +113,13 @@ fn add_triangle(
         }
         return;
     }
-    let seen = corners.map(|corner| basis.pixel_from_point(corner));
-    if seen.iter().any(|h| h.z <= 0.0) {
-        return;
-    }
     let first = mesh.vertices.len() as u32;
-    for (corner, h) in corners.into_iter().zip(seen) {
+    for corner in corners {
+        let h = basis.pixel_from_point(corner);
         let (x, y) = (h.x / h.z / basis.width, h.y / h.z / basis.height);
         let [column, row] = grid.place(corner);
         let uv = pos2((column + 0.5) / grid.size[0] as f32, (row + 0.5) / grid.size[1] as f32);
-        let pos = rect.min + egui::vec2(x.clamp(-50.0, 50.0), y.clamp(-50.0, 50.0)) * rect.size();
+        let pos = rect.min + egui::vec2(x, y) * rect.size();
         mesh.vertices.push(egui::epaint::Vertex { pos, uv, color: Color32::from_white_alpha(COVER) });
     }
     mesh.add_triangle(first, first + 1, first + 2);
@@ -132,6 +137,8 @@ fn is_in_front(camera: &Camera, bounds: &Aabb, point: Vec3) -> bool {
 
 /// How much a slice covers what lies behind it, of 255.
 const COVER: u8 = 225;
+/// What is nearer to the eye than this share of a slice's greatest depth is left out.
+const NEAR: f32 = 0.01;
 /// Each division makes four triangles of one.
 const DIVISIONS: u32 = 3;
 /// Parallel rays come from this many world units away.
@@ -158,6 +165,40 @@ mod tests {
         ] {
             assert_eq!(is_in_front(&camera, &bounds, point), is_near, "{point}");
         }
+    }
+
+    #[test]
+    fn a_plane_that_passes_the_eye_has_no_holes() {
+        let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+        let intrinsics = Intrinsics::perspective(200, 100, 0.7);
+        let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 0.5), intrinsics, &bounds);
+        let (basis, rect) = (camera.basis(), Rect::from_min_size(pos2(0.0, 0.0), egui::vec2(200.0, 100.0)));
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let corners = corners.map(|(x, z)| Vec3::new(x, -0.1, z)).to_vec();
+        let depth = |p: Vec3| basis.pixel_from_point(p).z;
+        assert!(corners.iter().any(|c| depth(*c) < 0.0), "it passes the eye");
+        let grid = SliceGrid { origin: Vec3::ZERO, column: Vec3::X, row: Vec3::Z, size: [1, 1] };
+        let slice = TexturedSlice { corners, normal: Vec3::Y, grid, texture: TextureId::User(0) };
+        let mesh = mesh_of(&slice, &basis, rect);
+        let covers = |at: egui::Pos2| {
+            mesh.indices.chunks(3).any(|t| {
+                let [a, b, c] = [t[0], t[1], t[2]].map(|i| mesh.vertices[i as usize].pos);
+                let side = |a: egui::Pos2, b: egui::Pos2| (b - a).rot90().dot(at - a);
+                let sides = [side(a, b), side(b, c), side(c, a)];
+                sides.iter().all(|s| *s >= -1e-2) || sides.iter().all(|s| *s <= 1e-2)
+            })
+        };
+        let mut num_seen = 0;
+        for (i, j) in (0..40).flat_map(|i| (0..40).map(move |j| (i, j))) {
+            let p = Vec3::new(i as f32 / 20.0 - 0.98, -0.1, j as f32 / 20.0 - 0.98);
+            let h = basis.pixel_from_point(p);
+            let at = pos2(h.x / h.z, h.y / h.z);
+            if h.z > 0.05 && rect.contains(at) {
+                num_seen += 1;
+                assert!(covers(at), "{p} at {at}");
+            }
+        }
+        assert!(num_seen > 20, "{num_seen}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The cube in the corner: how the volume is turned, and a click on a side, an edge or a corner shows it from there.
 
 use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Shape, Stroke, Vec2, vec2};
-use glam::{Vec2 as Point, Vec3};
+use glam::Vec3;
 use isinglass_core::camera::Camera;
 
 use super::view_aids::AXIS_COLORS;
@@ -100,8 +100,7 @@ impl ViewCube<'_> {
 
     fn screen_from_world(&self, p: Vec3) -> Pos2 {
         let seen = self.camera.pose.world_from_view.inverse() * p;
-        let flat = Point::new(seen.x, -seen.y) * HALF_SIDE;
-        self.center + vec2(flat.x, flat.y)
+        self.center + vec2(seen.x, -seen.y) * HALF_SIDE
     }
 }
 

@@ -13,6 +13,7 @@ use lucide_icons::Icon;
 use super::background::write_numbered;
 use super::file_field::FileField;
 use super::style::{bright, icon, named, pane_at, quiet};
+use super::text::format_in;
 use crate::paint::measure::{LengthScale, MeasureEditor, angle_degrees, length};
 use crate::view::Waker;
 
@@ -21,64 +22,84 @@ use crate::view::Waker;
 pub(crate) struct MeasurePane {
     /// The profile that the person chose; otherwise the newest is shown.
     chosen: Option<usize>,
-    asked: Option<AskedProfile>,
+    /// The volume that the lines below go through.
+    volume: Option<Arc<Welcome>>,
+    /// Lines whose values are on the way, the newest last.
+    asked: Vec<(ProbeId, Line)>,
+    /// The newest values that came of each measurement.
+    known: Vec<(Line, Arc<Profile>)>,
     files: FileField<()>,
 }
 
-/// The line whose values are on the way or known.
-#[derive(Clone, Debug)]
-struct AskedProfile {
+/// The number of a measurement, and the ends of its line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Line {
     number: usize,
     ends: [[f32; 3]; 2],
-    volume: Arc<Welcome>,
-    /// The first question for this measurement, and the newest.
-    first: ProbeId,
-    newest: ProbeId,
 }
 
 /// A line to ask the server for.
 pub(crate) struct WantedProfile {
-    number: usize,
-    pub(crate) ends: [[f32; 3]; 2],
+    line: Line,
     pub(crate) num_points: u16,
 }
 
+impl WantedProfile {
+    pub(crate) fn ends(&self) -> [[f32; 3]; 2] {
+        self.line.ends
+    }
+}
+
 impl MeasurePane {
-    /// The profile to ask for now; a line that rests is asked for once for each volume.
-    pub(crate) fn wanted(&self, measures: &[SavedMeasure], volume: &Arc<Welcome>) -> Option<WantedProfile> {
-        let number = self.shown_profile(measures)?;
-        let ends = [*measures[number].points.first()?, *measures[number].points.last()?];
-        let is_same = |asked: &AskedProfile| {
-            let is_volume = Arc::ptr_eq(&asked.volume, volume) || asked.volume.volume == volume.volume;
-            asked.number == number && asked.ends == ends && is_volume
-        };
-        if self.asked.as_ref().is_some_and(is_same) {
-            return None;
+    /// The profile to ask for now: the shown one first, then the others, one at a time. A line that rests is asked for
+    /// once of each volume.
+    pub(crate) fn wanted(
+        &mut self,
+        measures: &[SavedMeasure],
+        volume: &Arc<Welcome>,
+    ) -> Option<WantedProfile> {
+        // Another volume may be described alike, and the answers are gone with the one before.
+        if self.volume.as_ref().is_none_or(|of| !Arc::ptr_eq(of, volume)) {
+            self.volume = Some(volume.clone());
+            (self.asked, self.known) = (Vec::new(), Vec::new());
         }
+        let is_known = |line: &Line| self.known.iter().any(|(known, _)| known == line);
+        let shown = line_of(measures, self.shown_profile(measures)?)?;
+        let line = if !is_known(&shown) {
+            Some(shown).filter(|line| self.asked.last().is_none_or(|(_, asked)| asked != line))
+        } else if self.asked.is_empty() {
+            (0..measures.len()).filter_map(|number| line_of(measures, number)).find(|line| !is_known(line))
+        } else {
+            None
+        }?;
         let finest = finest(&volume.volume);
         // Two values a voxel show all that there is.
-        let num_points = (2.0 * length(&ends) / f64::from(finest)).clamp(32.0, f64::from(MAX_PROFILE_POINTS));
-        Some(WantedProfile { number, ends, num_points: num_points as u16 })
+        let num_points =
+            (2.0 * length(&line.ends) / f64::from(finest)).clamp(32.0, f64::from(MAX_PROFILE_POINTS));
+        Some(WantedProfile { line, num_points: num_points as u16 })
     }
 
-    pub(crate) fn note_asked(&mut self, wanted: &WantedProfile, volume: &Arc<Welcome>, id: ProbeId) {
-        let before = self.asked.take().filter(|asked| asked.number == wanted.number);
-        let is_other_volume = before.as_ref().is_none_or(|asked| asked.volume.volume != volume.volume);
-        let first = before.filter(|_| !is_other_volume).map_or(id, |asked| asked.first);
-        self.asked = Some(AskedProfile {
-            number: wanted.number,
-            ends: wanted.ends,
-            volume: volume.clone(),
-            first,
-            newest: id,
-        });
+    pub(crate) fn note_asked(&mut self, wanted: &WantedProfile, id: ProbeId) {
+        // Older questions than these are never answered.
+        if self.asked.len() >= MAX_ASKED {
+            self.asked.remove(0);
+        }
+        self.asked.push((id, wanted.line));
     }
 
-    /// The values of the shown profile, and whether they are those of the present line.
-    fn values<'a>(&self, answer: Option<&'a Profile>) -> Option<(&'a Profile, bool)> {
-        let asked = self.asked.as_ref()?;
-        let answer = answer.filter(|answer| answer.id >= asked.first)?;
-        Some((answer, answer.id == asked.newest))
+    /// Keeps an answer with its line. Earlier questions are not answered any more.
+    pub(crate) fn note_answer(&mut self, answer: Option<&Profile>) {
+        let Some(answer) = answer else { return };
+        let Some(at) = self.asked.iter().position(|(id, _)| *id == answer.id) else { return };
+        let Some((_, line)) = self.asked.drain(..=at).next_back() else { return };
+        self.known.retain(|(known, _)| known.number != line.number);
+        self.known.push((line, Arc::new(answer.clone())));
+    }
+
+    /// The values of a profile, and whether they are those of the present line.
+    fn values(&self, measures: &[SavedMeasure], number: usize) -> Option<(&Profile, bool)> {
+        let (line, profile) = self.known.iter().find(|(known, _)| known.number == number)?;
+        Some((profile, line_of(measures, number) == Some(*line)))
     }
 
     fn shown_profile(&self, measures: &[SavedMeasure]) -> Option<usize> {
@@ -88,14 +109,13 @@ impl MeasurePane {
         self.chosen.filter(is_profile).or_else(newest)
     }
 
-    /// Shows the pane at the right of `room`. Returns news for the person.
+    /// Shows the pane at the right of `room`.
     pub(crate) fn show(
         &mut self,
         ctx: &Context,
         room: Rect,
         editor: &mut MeasureEditor,
         volume: &VolumeDescription,
-        answer: Option<&Profile>,
         wake: &Waker,
     ) {
         let _ = self.files.take();
@@ -105,11 +125,11 @@ impl MeasurePane {
             self.kinds(ui, editor);
             self.list(ui, editor, volume);
             if let Some(number) = self.shown_profile(editor.measures()) {
-                let of = &editor.measures()[number];
-                show_profile(ui, self.values(answer), of, volume);
+                let values = self.values(editor.measures(), number).map(|(profile, _)| profile);
+                show_profile(ui, values, &editor.measures()[number], volume);
             }
             if !editor.measures().is_empty() {
-                self.file(ui, editor.measures(), volume, answer, wake);
+                self.file(ui, editor.measures(), volume, wake);
             }
             ui.add(egui::Button::new("Close").small()).clicked()
         });
@@ -127,7 +147,7 @@ impl MeasurePane {
             }
         });
         let hint = match editor.kind {
-            MeasureKind::Distance => "Click two points on a surface.",
+            MeasureKind::Distance => "Click two points on a surface or a slice.",
             MeasureKind::Angle => "Click three points: the angle is at the second.",
             MeasureKind::Path => "Click points; click the last one again to end.",
             MeasureKind::Profile => "Click both ends of a line through the volume.",
@@ -174,23 +194,24 @@ impl MeasurePane {
         });
         if let Some(number) = removed {
             editor.remove(number);
-            (self.chosen, self.asked) = (None, None);
+            (self.chosen, self.asked, self.known) = (None, Vec::new(), Vec::new());
         }
     }
 
-    fn file(
-        &mut self,
-        ui: &mut Ui,
-        measures: &[SavedMeasure],
-        volume: &VolumeDescription,
-        answer: Option<&Profile>,
-        wake: &Waker,
-    ) {
+    fn file(&mut self, ui: &mut Ui, measures: &[SavedMeasure], volume: &VolumeDescription, wake: &Waker) {
         self.files.show(ui, f32::INFINITY, "file of the measurements", "file; a new name if empty");
         let name = if self.files.is_replacing() { "Replace the CSV file" } else { "Save as CSV" };
+        let known =
+            |number| self.values(measures, number).filter(|(_, is_new)| *is_new).map(|(known, _)| known);
+        let of_profile = |number: &usize| measures[*number].kind == MeasureKind::Profile;
+        let missing = (0..measures.len()).filter(of_profile).filter(|number| known(*number).is_none());
+        let missing: Vec<String> = missing.map(|number| (number + 1).to_string()).collect();
+        if !missing.is_empty() {
+            let told = format!("The values of {} are on the way.", missing.join(", "));
+            ui.add(egui::Label::new(RichText::new(told).size(11.0)).wrap());
+        }
         if ui.add_enabled(!self.files.is_busy(), egui::Button::new(name)).clicked() {
-            let known = self.shown_profile(measures).zip(self.values(answer).filter(|(_, is_new)| *is_new));
-            let text = csv(measures, volume, known.map(|(number, (profile, _))| (number, profile)));
+            let text = csv(measures, volume, known);
             let stem = super::text::file_stem(&volume.name);
             self.files.write(wake, text, move |text| write_numbered(text, &stem, ".measures.csv"));
         }
@@ -205,21 +226,19 @@ impl MeasurePane {
     }
 }
 
-fn show_profile(
-    ui: &mut Ui,
-    values: Option<(&Profile, bool)>,
-    of: &SavedMeasure,
-    volume: &VolumeDescription,
-) {
+fn show_profile(ui: &mut Ui, values: Option<&Profile>, of: &SavedMeasure, volume: &VolumeDescription) {
     let (rect, response) = ui.allocate_exact_size(vec2(PANE_WIDTH, PLOT_HEIGHT), Sense::hover());
     let painter = ui.painter_at(rect);
-    let known = values.map(|(profile, _)| &profile.values[..]).unwrap_or_default();
+    let known = values.map(|profile| &profile.values[..]).unwrap_or_default();
     let numbers = known.iter().flatten().copied();
     let (lo, hi) = numbers.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
     let unit = volume.value_unit.as_deref().map_or(String::new(), |unit| format!(" {unit}"));
     let whole = scale(volume).length(length(&of.points));
     let words = match lo <= hi {
-        true => format!("values along {whole}: {lo}{unit} to {hi}{unit}"),
+        true => {
+            let [lo, hi] = [lo, hi].map(|value| format_in(value, hi - lo));
+            format!("values along {whole}: {lo}{unit} to {hi}{unit}")
+        }
         false if values.is_some() => "the line does not meet the volume".to_owned(),
         false => "the values are on the way".to_owned(),
     };
@@ -246,17 +265,18 @@ fn show_profile(
         if let Some(value) = known[i] {
             painter.circle_filled(at(i, value), 3.5, bright(ui.ctx()));
             let way = scale(volume).length(length(&of.points) * i as f64 / (known.len() - 1) as f64);
+            let value = format_in(value, hi - lo);
             response.on_hover_text(format!("{value}{unit} at {way}"));
         }
     }
     ui.label(RichText::new(words).size(11.5));
 }
 
-/// The measurements as a table, a line for each point. Of one profile, the values are known.
-pub(crate) fn csv(
+/// The measurements as a table, a line for each point, and for each value of those profiles that `known` has.
+fn csv<'a>(
     measures: &[SavedMeasure],
     volume: &VolumeDescription,
-    profile: Option<(usize, &Profile)>,
+    known: impl Fn(usize) -> Option<&'a Profile>,
 ) -> String {
     let of = |unit: Option<&String>| unit.map_or(String::new(), |unit| format!(" [{unit}]"));
     let (unit, value_unit) = (of(volume.unit.as_ref()), of(volume.value_unit.as_ref()));
@@ -269,7 +289,7 @@ pub(crate) fn csv(
     let mut out = header.join(",") + "\n";
     for (number, measure) in measures.iter().enumerate() {
         let kind = name_of(measure.kind).to_lowercase();
-        let values = profile.filter(|(of, _)| *of == number).map(|(_, profile)| &profile.values);
+        let values = known(number).map(|profile| &profile.values);
         let points: Vec<[f32; 3]> = match (values, &measure.points[..]) {
             (Some(values), [from, .., to]) => {
                 let [from, to] = [*from, *to].map(Vec3::from_array);
@@ -278,13 +298,14 @@ pub(crate) fn csv(
             }
             (_, points) => points.to_vec(),
         };
+        let mut way = 0.0;
         for (i, point) in points.iter().enumerate() {
-            let place = match &volume.placement {
-                Some(placement) => placement.file_from_world(Vec3::from_array(*point)),
-                None => point.map(f64::from),
+            let [x, y, z] = match &volume.placement {
+                Some(placement) => placement.file_from_world(Vec3::from_array(*point)).map(|x| x.to_string()),
+                None => point.map(|x| x.to_string()),
             };
-            let [x, y, z] = place.map(|x| x as f32);
-            let length = length(&points[..=i]) as f32;
+            way += length(&points[i.saturating_sub(1)..=i]);
+            let length = way as f32;
             let angle = match (measure.kind, i) {
                 (MeasureKind::Angle, 1) => format!("{}", angle_degrees(&points) as f32),
                 _ => String::new(),
@@ -311,6 +332,11 @@ fn finest(volume: &VolumeDescription) -> f32 {
     volume.spacing.iter().copied().fold(f32::INFINITY, f32::min)
 }
 
+fn line_of(measures: &[SavedMeasure], number: usize) -> Option<Line> {
+    let measure = measures.get(number).filter(|measure| measure.kind == MeasureKind::Profile)?;
+    Some(Line { number, ends: [*measure.points.first()?, *measure.points.last()?] })
+}
+
 fn name_of(kind: MeasureKind) -> &'static str {
     KINDS.iter().find(|(of, _)| *of == kind).map_or("", |(_, name)| name)
 }
@@ -325,6 +351,8 @@ const KINDS: [(MeasureKind, &str); 4] = [
 const PANE_WIDTH: f32 = 264.0;
 const PLOT_HEIGHT: f32 = 96.0;
 const LIST_HEIGHT: f32 = 150.0;
+/// Questions about lines that are remembered until an answer comes.
+const MAX_ASKED: usize = 64;
 
 #[cfg(test)]
 mod tests {
@@ -357,7 +385,7 @@ mod tests {
             measure(MeasureKind::Profile, &[[0.0; 3], [0.0, 0.0, 1.0]]),
         ];
         let profile = Profile { id: ProbeId(1), values: vec![Some(5.0), None, Some(-7.5)] };
-        let text = csv(&measures, &volume, Some((2, &profile)));
+        let text = csv(&measures, &volume, |number| (number == 2).then_some(&profile));
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines[0].starts_with("measurement,kind,point,\"x [mm, \"\"s\"\"]\","), "{}", lines[0]);
         assert!(lines[0].ends_with("angle [deg],value [HU]"));
@@ -369,31 +397,57 @@ mod tests {
             ["3,profile,1,10,20,30,0,,5", "3,profile,2,10,20,29.5,0.5,,", "3,profile,3,10,20,29,1,,-7.5"]
         );
         // Without its values a profile is a line of two points.
-        assert_eq!(csv(&measures, &volume, None).lines().count(), 1 + 2 + 3 + 2);
+        assert_eq!(csv(&measures, &volume, |_| None).lines().count(), 1 + 2 + 3 + 2);
     }
 
     #[test]
     fn a_line_that_rests_is_asked_for_once_of_each_volume() {
-        let (a, mut pane) = (welcome(), MeasurePane::default());
-        let mut other = (*a).clone();
-        other.volume.name = "other".into();
-        let b = Arc::new(other);
+        let (a, b, mut pane) = (welcome(), welcome(), MeasurePane::default());
+        assert_eq!(a.volume, b.volume, "another volume may be described alike");
         let line = |x: f32| [measure(MeasureKind::Profile, &[[0.0; 3], [x, 0.0, 0.0]])];
-        let mut asks = |x: f32, volume: &Arc<Welcome>, id: u32| {
+        let profile = |id| Profile { id: ProbeId(id), values: vec![Some(id as f32)] };
+        let ask = |pane: &mut MeasurePane, x: f32, volume: &Arc<Welcome>, id: u32| {
             let wanted = pane.wanted(&line(x), volume);
             if let Some(wanted) = &wanted {
-                pane.note_asked(wanted, volume, ProbeId(id));
+                pane.note_asked(wanted, ProbeId(id));
             }
             wanted.is_some()
         };
-        let asked =
-            [asks(1.0, &a, 1), asks(1.0, &a, 2), asks(2.0, &a, 3), asks(2.0, &b, 4), asks(2.0, &b, 5)];
-        assert_eq!(asked, [true, false, true, true, false]);
-        let profile = |id| Profile { id: ProbeId(id), values: vec![] };
-        assert!(pane.values(Some(&profile(3))).is_none(), "of another volume");
-        assert!(pane.values(Some(&profile(4))).is_some_and(|(_, is_new)| is_new));
+        assert!(ask(&mut pane, 1.0, &a, 1) && !ask(&mut pane, 1.0, &a, 2));
+        pane.note_answer(Some(&profile(1)));
+        assert!(!ask(&mut pane, 1.0, &a, 2) && ask(&mut pane, 2.0, &a, 3));
+        let (old, is_new) = pane.values(&line(2.0), 0).unwrap();
+        assert!(old.id == ProbeId(1) && !is_new, "the line before is shown until the answer");
+        pane.note_answer(Some(&profile(3)));
+        assert!(pane.values(&line(2.0), 0).is_some_and(|(_, is_new)| is_new));
+        for (volume, id) in [(&b, 4), (&a, 5)] {
+            assert!(ask(&mut pane, 2.0, volume, id), "the same line of another volume");
+            assert!(pane.values(&line(2.0), 0).is_none(), "the values were another volume's");
+            pane.note_answer(Some(&profile(id - 1)));
+            assert!(pane.values(&line(2.0), 0).is_none(), "an answer to an older question");
+            pane.note_answer(Some(&profile(id)));
+            assert!(pane.values(&line(2.0), 0).is_some_and(|(_, is_new)| is_new));
+        }
         assert!(pane.wanted(&[measure(MeasureKind::Distance, &[[0.0; 3]; 2])], &a).is_none());
         let far = pane.wanted(&line(1e6), &a).unwrap();
         assert!(far.num_points == MAX_PROFILE_POINTS && pane.wanted(&line(0.0), &a).unwrap().num_points >= 2);
+    }
+
+    #[test]
+    fn the_values_of_every_profile_are_fetched_one_after_another() {
+        let (volume, mut pane) = (welcome(), MeasurePane::default());
+        let line = |x: f32| measure(MeasureKind::Profile, &[[0.0; 3], [x, 0.0, 0.0]]);
+        let measures = [line(1.0), measure(MeasureKind::Distance, &[[0.0; 3]; 2]), line(2.0)];
+        let mut asked = Vec::new();
+        while let Some(wanted) = pane.wanted(&measures, &volume) {
+            let id = ProbeId(asked.len() as u32 + 1);
+            asked.push(wanted.line.number);
+            pane.note_asked(&wanted, id);
+            assert!(pane.wanted(&measures, &volume).is_none(), "one at a time");
+            pane.note_answer(Some(&Profile { id, values: vec![Some(7.0); 3] }));
+        }
+        assert_eq!(asked, [2, 0], "the shown one first");
+        let known = |number| pane.values(&measures, number).map(|(profile, _)| profile);
+        assert_eq!(csv(&measures, &volume.volume, known).matches(",7\n").count(), 6);
     }
 }

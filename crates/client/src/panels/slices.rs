@@ -15,7 +15,7 @@ use super::value_scale::ValueScale;
 use crate::input::bindings::{Action, Bindings};
 use crate::view::planes::{PlaneChoice, Slab, Stack};
 
-pub(crate) use pane::{COLORS, PaneScene, Pointed, show_pointed};
+pub(crate) use pane::{COLORS, PaneScene, PaneView, Pointed, pen, show_pointed};
 
 /// The panes and what they share.
 #[derive(Default)]
@@ -29,6 +29,8 @@ pub(crate) struct SlicePanes {
     /// The values shown black and white; none: chosen by the histogram.
     pub(crate) window: Option<(f32, f32)>,
     panes: [pane::Pane; 3],
+    /// The planes that the panes showed last.
+    stacks: Option<[Stack; 3]>,
     /// The pane that takes most of the room.
     large: Option<usize>,
     /// The pane that keys page without the keyboard's focus.
@@ -43,16 +45,19 @@ pub(crate) struct Rooms {
 }
 
 impl SlicePanes {
-    pub(crate) fn toggle(&mut self) {
-        self.is_on = !self.is_on;
-    }
-
     pub(crate) fn is_on(&self) -> bool {
         self.is_on
     }
 
     pub(crate) fn set_on(&mut self, is_on: bool) {
         self.is_on = is_on;
+        self.stacks = None;
+        self.panes.iter_mut().for_each(pane::Pane::hide);
+    }
+
+    /// Ends drags whose release may never be reported.
+    pub(crate) fn end_drag(&mut self) {
+        self.panes.iter_mut().for_each(pane::Pane::end_drag);
     }
 
     /// Another source is shown: only the panes stay.
@@ -162,8 +167,8 @@ impl SlicePanes {
                     self.slab.mode = mode;
                 }
             }
-            ui.checkbox(&mut self.is_in_picture, "in the picture")
-                .on_hover_text("draw the slices into the picture of the volume, too");
+            ui.checkbox(&mut self.is_in_picture, "over the volume")
+                .on_hover_text("draw the slices over the picture of the volume, too");
             if width >= WIDTH_WITH_WINDOW {
                 ui.separator();
                 let (lo, hi) = self.window_of(scale);
@@ -244,6 +249,20 @@ impl SlicePanes {
             .iter()
             .enumerate()
             .filter_map(|(i, pane)| pane.picture().map(|(texture, grid)| (i, texture, grid)))
+    }
+
+    pub(crate) fn note_stacks(&mut self, stacks: [Stack; 3]) {
+        self.stacks = Some(stacks);
+    }
+
+    /// The planes that the panes show; none while they are closed.
+    pub(crate) fn stacks(&self) -> Option<&[Stack; 3]> {
+        self.stacks.as_ref()
+    }
+
+    /// The panes as they lie on the screen.
+    pub(crate) fn views(&self) -> impl Iterator<Item = PaneView> {
+        self.panes.iter().filter_map(pane::Pane::view)
     }
 
     /// The pane that keys page while no pane has the keyboard.

@@ -6,6 +6,7 @@ use glam::{Quat, Vec2, Vec3};
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::{MAX_SLICE_SIDE, SlabMode, SlicePlane, SliceSpec};
 use isinglass_core::wire::VolumeDescription;
+use isinglass_formats::UpAxis;
 
 use crate::input::bindings::Side;
 use crate::input::orientation::Orientation;
@@ -55,11 +56,23 @@ impl PlaneChoice {
             (Self::Standard(Side::Top), true) => "axial",
             (Self::Standard(Side::Front), true) => "coronal",
             (Self::Standard(Side::Right), true) => "sagittal",
-            (Self::Standard(Side::Top), false) => "across y",
-            (Self::Standard(Side::Front), false) => "across z",
-            (Self::Standard(Side::Right), false) => "across x",
+            (Self::Standard(side), false) => {
+                let across = orientation.standard_view(side, false).0;
+                ["across x", "across y", "across z"][axis_along(across)]
+            }
         }
     }
+}
+
+/// How the planes lie. Those of a body stay as radiologists see them, whichever axis is up.
+pub(crate) fn orientation_of_planes(letters: Option<&str>, up: UpAxis) -> Orientation {
+    let own = Orientation::of(letters);
+    if own.is_body() { own } else { own.with_up(up) }
+}
+
+/// The axis that a direction is nearest to.
+fn axis_along(direction: Vec3) -> usize {
+    direction.abs().max_position()
 }
 
 impl Stack {
@@ -74,7 +87,7 @@ impl Stack {
             PlaneChoice::Oblique(world_from_view) => (world_from_view * Vec3::Z, world_from_view * Vec3::Y),
         };
         let axis = match choice {
-            PlaneChoice::Standard(_) => (0..3).find(|&i| towards[i].abs() > 0.5),
+            PlaneChoice::Standard(_) => Some(axis_along(towards)),
             PlaneChoice::Oblique(_) => None,
         };
         let step = axis.map_or(spacing.min_element(), |axis| spacing[axis]);
@@ -160,6 +173,22 @@ impl Stack {
         outline(&self.bounds, point, self.towards)
     }
 
+    /// Distance between slices, world units.
+    pub(crate) fn step(&self) -> f32 {
+        self.step
+    }
+
+    /// The nearest point of the volume.
+    pub(crate) fn nearest(&self, point: Vec3) -> Vec3 {
+        point.clamp(self.bounds.min, self.bounds.max)
+    }
+
+    /// A point, if it lies in the volume but for rounding.
+    pub(crate) fn inside(&self, point: Vec3) -> Option<Vec3> {
+        let nearest = self.nearest(point);
+        (nearest.distance(point) <= self.spacing.min_element() * 1e-2).then_some(nearest)
+    }
+
     /// The volume's size in voxels, and their size.
     pub(crate) fn voxels(&self) -> ([u32; 3], Vec3) {
         (self.dims, self.spacing)
@@ -225,6 +254,26 @@ mod tests {
         assert_eq!(seen(Side::Right), (Vec3::NEG_Y, Vec3::NEG_Z), "posterior to the right");
         let plain = stack(PlaneChoice::Standard(Side::Front), None);
         assert_eq!((plain.right, plain.down), (Vec3::X, Vec3::NEG_Y));
+    }
+
+    #[test]
+    fn another_axis_up_turns_no_plane_of_a_body_and_planes_are_named_by_their_axis() {
+        let sides = [Side::Top, Side::Front, Side::Right].map(PlaneChoice::Standard);
+        let body = Orientation::of(Some("RAS"));
+        assert_ne!(body.clone().with_up(UpAxis::X), body, "control");
+        for up in UpAxis::ALL {
+            assert_eq!(orientation_of_planes(Some("RAS"), up), body);
+        }
+        assert_eq!(sides.map(|side| side.name(&body)), ["axial", "coronal", "sagittal"]);
+        let plain = orientation_of_planes(None, UpAxis::Own);
+        assert_eq!(sides.map(|side| side.name(&plain)), ["across y", "across z", "across x"]);
+        let z_up = orientation_of_planes(None, UpAxis::Z);
+        assert_eq!(sides.map(|side| side.name(&z_up)), ["across z", "across y", "across x"]);
+        for side in sides {
+            let stack = Stack::new(side, &z_up, &volume(None));
+            assert_eq!(stack.axis, Some(axis_along(stack.towards)));
+            assert!(side.name(&z_up).ends_with(['x', 'y', 'z'][axis_along(stack.towards)]));
+        }
     }
 
     #[test]

@@ -115,6 +115,101 @@ fn the_values_along_a_line_are_the_server_s_and_go_to_a_csv_file() {
 }
 
 #[test]
+fn measurements_stay_in_place_in_another_part_of_the_file_or_go() {
+    let placement =
+        |x: f64| Some(Placement { center: [x, 0.0, 0.0], axes: [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]] });
+    let show = |w: &mut Harness<'_, ViewerApp<HereSource>>, placement: Option<Placement>| {
+        w.state().viewing.source().here().placement = placement;
+        rest(w);
+    };
+    let source = HereSource::new();
+    source.here().placement = placement(1.0);
+    let mut w = window_on(source, InitialOrbit::default(), [900.0, 700.0], 1.0);
+    press(&mut w, Modifiers::NONE, Key::D);
+    PLACES.iter().for_each(|at| click_at(&mut w, *at));
+    let before = points(&w, 0);
+    show(&mut w, placement(1.25));
+    let moved: Vec<Vec3> = before.iter().map(|p| *p - Vec3::X * 0.25).collect();
+    assert_eq!(points(&w, 0), moved);
+    assert_eq!(w.state().slices.point, Vec3::NEG_X * 0.25);
+    assert!(w.query_by_label_contains("were of another volume").is_none(), "control");
+    show(&mut w, None);
+    assert!(w.state().measures.measures().is_empty());
+    assert_eq!(w.state().slices.point, Vec3::ZERO);
+    assert!(w.query_by_label_contains("were of another volume").is_some());
+}
+
+#[test]
+fn two_clicks_on_a_slice_tell_the_distance_in_its_plane() {
+    let mut w = window([1000.0, 800.0]);
+    for key in [Key::X, Key::D] {
+        press(&mut w, Modifiers::NONE, key);
+    }
+    // The pane of the measurements covers the upper right, so the lower left is taken.
+    let rect = w.get_by_label_contains("across z, slice ").rect();
+    let app = w.state();
+    let stack = app.stacks(&app.viewing.source().description().unwrap().volume)[1];
+    let points_per_unit =
+        (rect.size() - vec2(40.0, 40.0)).min_elem() / (2.0 * stack.half_size().max_element());
+    let (point, large, before) = (app.slices.point, app.slices.large(), pose(&w));
+    let [a, b] = [vec2(-40.0, 30.0), vec2(50.0, -20.0)];
+    [a, b].iter().for_each(|by| click_at(&mut w, rect.center() + *by));
+    let found = points(&w, 0);
+    let middle = stack.moved(point, stack.index_of(point));
+    for (found, by) in found.iter().zip([a, b]) {
+        let in_plane = (stack.right * by.x + stack.down * by.y) / points_per_unit;
+        let expected = in_plane + stack.towards * stack.towards.dot(middle);
+        assert!((*found - expected).length() < 1e-4, "{found} {expected}");
+    }
+    assert!((found[0].distance(found[1]) - (b - a).length() / points_per_unit).abs() < 1e-4);
+    // It is drawn in the pane, too.
+    for by in [a, b] {
+        let is_point = |shape: &egui::epaint::ClippedShape| match &shape.shape {
+            egui::Shape::Circle(c) => {
+                shape.clip_rect.contains(c.center) && c.center.distance(rect.center() + by) < 1.0
+            }
+            _ => false,
+        };
+        assert!(w.output().shapes.iter().any(is_point), "{by}");
+    }
+    let state = w.state();
+    assert_eq!((state.slices.point, state.slices.large(), pose(&w)), (point, large, before), "nothing moves");
+    // A point is dragged in the plane, and the common point stays.
+    drag(&mut w, rect.center() + b, vec2(10.0, 25.0), Modifiers::NONE);
+    let moved = points(&w, 0);
+    let by = (moved[1] - found[1]) * points_per_unit;
+    assert!((by.dot(stack.right) - 10.0).abs() < 1e-2 && (by.dot(stack.down) - 25.0).abs() < 1e-2, "{by}");
+    assert_eq!((moved[0], w.state().slices.point), (found[0], point));
+    // A drag beside the points moves the common point.
+    let beside = rect.center() + vec2(-20.0, -30.0);
+    let button = |pos, pressed| {
+        let button = PointerButton::Primary;
+        Event::PointerButton { pos, button, pressed, modifiers: Modifiers::NONE }
+    };
+    let to = beside + vec2(-30.0, 0.0);
+    for event in
+        [Event::PointerMoved(beside), button(beside, true), Event::PointerMoved(to), button(to, false)]
+    {
+        w.event(event);
+        w.step();
+    }
+    rest(&mut w);
+    assert!(w.state().slices.point.distance(point) > 0.01 && points(&w, 0) == moved);
+    w.state_mut().slices.point = point;
+    // In another slice the points are faint, and cannot be grasped.
+    let view = w.state().slices.views().nth(1).unwrap();
+    assert!(crate::paint::measure::Canvas::holds(&view, moved[0]));
+    w.state_mut().slices.page(1, &stack, 3);
+    rest(&mut w);
+    let view = w.state().slices.views().nth(1).unwrap();
+    assert!(!crate::paint::measure::Canvas::holds(&view, moved[0]));
+    // Without measuring, a click moves the common point as ever.
+    press(&mut w, Modifiers::NONE, Key::D);
+    click_at(&mut w, rect.center() + a);
+    assert!(w.state().slices.point.distance(point) > 0.01 && points(&w, 0) == moved);
+}
+
+#[test]
 fn a_state_keeps_what_was_measured() {
     let w = measured();
     let state = w.state().saved_state(&w.ctx, w.state().window.unwrap()).unwrap();

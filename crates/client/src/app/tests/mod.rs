@@ -17,8 +17,8 @@ use isinglass_core::look::Look;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
-use isinglass_core::volume::Slice;
 use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::volume::{Placement, Slice};
 use isinglass_core::wire::{ClientMessage, ScreenshotRequest, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
 
@@ -41,6 +41,7 @@ struct HereSource {
 
 struct Here {
     scene: Scene,
+    described: Option<Arc<Welcome>>,
     look: (LookVersion, Arc<Look>),
     wanted: Option<Look>,
     asked: Option<(Pose, Intrinsics)>,
@@ -49,10 +50,13 @@ struct Here {
     num_looks: usize,
     sleeps: bool,
     orientation: Option<String>,
+    placement: Option<Placement>,
     num_probes: usize,
     num_shots: u32,
     num_cancelled: usize,
     num_slice_lists: usize,
+    /// Slices of the newest list.
+    num_wanted_slices: usize,
     state: State,
     stats: LinkStats,
 }
@@ -64,6 +68,7 @@ impl HereSource {
         let look = Look::new(transfer);
         let here = Here {
             scene,
+            described: None,
             look: (LookVersion(1), Arc::new(look)),
             wanted: None,
             asked: None,
@@ -72,10 +77,12 @@ impl HereSource {
             num_looks: 0,
             sleeps: false,
             orientation: None,
+            placement: None,
             num_probes: 0,
             num_shots: 0,
             num_cancelled: 0,
             num_slice_lists: 0,
+            num_wanted_slices: 0,
             state: State::Connected,
             stats: LinkStats::default(),
         };
@@ -114,6 +121,7 @@ impl HereSource {
                 ClientMessage::CancelScreenshot => here.num_cancelled += 1,
                 ClientMessage::WantSlices(list) => {
                     here.num_slice_lists += 1;
+                    here.num_wanted_slices = list.slices.len();
                     for wanted in list.slices.iter().filter(|_| !here.sleeps) {
                         let slice = Slice::of(&here.scene.volume, &wanted.spec, ALWAYS).unwrap();
                         session.slices.handle_slice(wanted.id, slice);
@@ -136,6 +144,7 @@ impl Here {
     fn welcome(&self) -> Welcome {
         let mut volume = VolumeDescription::of(&self.scene.volume, &self.scene.histogram);
         volume.orientation.clone_from(&self.orientation);
+        volume.placement = self.placement;
         Welcome {
             ticket: Token::new([0; 16]),
             volume,
@@ -207,7 +216,13 @@ impl FrameSource for HereSource {
     }
 
     fn description(&self) -> Option<Arc<Welcome>> {
-        Some(Arc::new(self.here().welcome()))
+        let here = &mut *self.here();
+        let welcome = here.welcome();
+        // As in a session, the description stays until there is another volume.
+        if here.described.as_ref().is_none_or(|described| described.volume != welcome.volume) {
+            here.described = Some(Arc::new(welcome));
+        }
+        here.described.clone()
     }
 
     fn is_of_volume(&self, _frame: &ReceivedFrame) -> bool {

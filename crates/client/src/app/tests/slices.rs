@@ -196,10 +196,75 @@ fn a_slab_is_requested_and_nothing_is_while_no_slice_is_shown() {
     let app = w.state();
     let spec = app.stacks(&volume)[0].spec(12, app.slices.slab).unwrap();
     assert!(spec.thickness > 0.0 && app.viewing.source().talk().slices.get(&spec).is_some());
+    // The server is slow, so the slices of another slab stay on the list.
+    w.state().viewing.source().here().sleeps = true;
+    let wanted = |w: &Harness<'_, ViewerApp<HereSource>>| w.state().viewing.source().here().num_wanted_slices;
+    let saved = w.state().saved_slices();
+    w.state_mut().slices.slab.thickness = volume.spacing[2] * 6.0;
+    rest(&mut w);
+    assert!(wanted(&w) > 0, "control");
     w.get_by_label("close the slices").click();
     rest(&mut w);
-    assert!(!w.state().slices.is_on());
+    assert!(!w.state().slices.is_on() && wanted(&w) == 0);
     assert!(w.query_by_label_contains(", slice ").is_none());
+    // A state closes them in the same way.
+    press(&mut w, Modifiers::NONE, Key::X);
+    assert!(wanted(&w) > 0, "control");
+    w.state_mut().restore_slices(&isinglass_formats::SavedSlices { shown: false, ..saved });
+    rest(&mut w);
+    assert!(!w.state().slices.is_on() && wanted(&w) == 0);
+}
+
+#[test]
+fn a_drag_of_the_window_ends_though_its_release_is_never_reported() {
+    let mut w = slices_on([1000.0, 800.0]);
+    let at = pane(&w, "across y").center();
+    let press_right = |w: &mut Harness<'_, ViewerApp<HereSource>>, pressed| {
+        let (button, modifiers) = (PointerButton::Secondary, Modifiers::NONE);
+        w.event(Event::PointerMoved(at));
+        w.event(Event::PointerButton { pos: at, button, pressed, modifiers });
+        w.step();
+    };
+    let scale = w.state().value_scale().unwrap();
+    press_right(&mut w, true);
+    let first = w.state().slices.window_of(&scale);
+    w.event(Event::PointerMoved(at + vec2(30.0, 0.0)));
+    w.step();
+    let dragged = w.state().slices.window_of(&scale);
+    assert_ne!(dragged, first, "control");
+    // The panes are closed during the drag, and the release comes while they are closed.
+    press(&mut w, Modifiers::NONE, Key::X);
+    press_right(&mut w, false);
+    press(&mut w, Modifiers::NONE, Key::X);
+    w.event(Event::PointerMoved(at + vec2(90.0, 0.0)));
+    rest(&mut w);
+    assert_eq!(w.state().slices.window_of(&scale), dragged);
+}
+
+#[test]
+fn keys_with_modifiers_and_keys_of_a_dialog_page_no_slice() {
+    let mut w = slices_on([1000.0, 800.0]);
+    w.get_by_label_contains("across x, slice ").focus();
+    for (modifiers, key) in [(Modifiers::ALT, Key::ArrowLeft), (Modifiers::COMMAND, Key::PageUp)] {
+        press(&mut w, modifiers, key);
+        assert_eq!(number(&w, "across x"), 13, "{key:?}");
+    }
+    press(&mut w, Modifiers::NONE, Key::ArrowLeft);
+    assert_eq!(number(&w, "across x"), 12, "control");
+    press(&mut w, Modifiers::NONE, Key::F1);
+    press(&mut w, Modifiers::NONE, Key::PageUp);
+    assert_eq!(number(&w, "across x"), 12);
+}
+
+#[test]
+fn a_reversed_wheel_pages_the_other_way() {
+    let mut w = slices_on([1000.0, 800.0]);
+    let at = pane(&w, "across z").center();
+    turn_wheel(&mut w, at, 1.0);
+    assert_eq!(number(&w, "across z"), 14, "control");
+    w.state_mut().options.bindings.reverses_wheel = true;
+    turn_wheel(&mut w, at, 1.0);
+    assert_eq!(number(&w, "across z"), 13);
 }
 
 #[test]

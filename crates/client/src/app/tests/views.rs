@@ -113,6 +113,28 @@ fn a_click_on_the_cube_turns_to_what_is_clicked() {
 }
 
 #[test]
+fn the_way_back_from_a_named_view_restores_the_projection() {
+    use crate::panels::toolbar::NamedViewWish;
+    let mut w = window([640.0, 480.0]);
+    let show = |w: &mut Harness<'_, ViewerApp<HereSource>>, wish| {
+        let now = w.state().last_refresh;
+        w.state_mut().do_named_view(now, wish);
+        rest(w);
+    };
+    press(&mut w, Modifiers::NONE, Key::Num5);
+    show(&mut w, NamedViewWish::Remember("parallel".into()));
+    press(&mut w, Modifiers::NONE, Key::Num5);
+    drag(&mut w, egui::pos2(300.0, 300.0), vec2(77.0, -41.0), Modifiers::NONE);
+    let before = pose(&w);
+    show(&mut w, NamedViewWish::Show(0));
+    assert!(w.state().is_orthographic && pose(&w) != before, "control");
+    press(&mut w, ALT, Key::ArrowLeft);
+    assert!(!w.state().is_orthographic && pose(&w) == before);
+    press(&mut w, ALT, Key::ArrowRight);
+    assert!(w.state().is_orthographic);
+}
+
+#[test]
 fn another_axis_can_be_up_and_the_state_keeps_it() {
     let mut w = window([900.0, 700.0]);
     w.get_by_label("Views").click();

@@ -76,7 +76,7 @@ pub enum Action {
     Help,
     /// Close the help.
     CloseHelp,
-    /// Show the picture alone on the whole screen, or return to the window.
+    /// Show the picture and its slices on the whole screen without bars, or return to the window.
     FullScreen,
     /// Close the window.
     Quit,
@@ -512,6 +512,6 @@ const TABLE: &[Line] = &[
     fixed("Tab, Shift+Tab", "the next control, the one before"),
     fixed("Ctrl++, Ctrl+-, Ctrl+0", "larger texts, smaller ones, as at first"),
     keys("this help", &[("help", Deed::Act(Action::Help), &["h", "F1"])]),
-    keys("close help or the picture dialog", &[("close-help", Deed::Act(Action::CloseHelp), &["Esc"])]),
+    keys("close a dialog, give up a measurement", &[("close-help", Deed::Act(Action::CloseHelp), &["Esc"])]),
     keys("close the window", &[("quit", Deed::Act(Action::Quit), &["ctrl+q"])]),
 ];

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use egui::{
-    Align2, Color32, Event, FontId, Key, Mesh, PointerButton, Pos2, Rect, Role, Sense, Stroke, Ui, pos2, vec2,
+    Align2, Color32, Event, Key, Mesh, PointerButton, Pos2, Rect, Role, Sense, Stroke, Ui, pos2, vec2,
 };
 use glam::Vec3;
 use isinglass_core::volume::{Slice, SliceGrid};
@@ -13,6 +13,8 @@ use super::texture::SliceTexture;
 use crate::input::bindings::Side;
 use crate::input::orientation::Orientation;
 use crate::input::pointer::notches_of;
+use crate::paint::measure::Canvas;
+use crate::paint::view_aids::{Pen, ViewAids};
 use crate::panels::style::named;
 use crate::panels::value_scale::ValueScale;
 use crate::view::planes::{PlaneChoice, Slab, Stack};
@@ -28,6 +30,8 @@ pub(crate) struct Pane {
     texture: SliceTexture,
     /// Parts of a notch of the wheel.
     wheel: f32,
+    /// How it lay on the screen when it was shown last.
+    view: Option<PaneView>,
     /// The button that drags level and window, and where the pointer was last.
     window_from: Option<(PointerButton, Pos2)>,
 }
@@ -43,6 +47,13 @@ pub(crate) struct PaneScene<'a> {
     pub(crate) world_from_view: glam::Quat,
     /// Whether keys that no pane has page this one.
     pub(crate) has_keys: bool,
+    /// Whether a dialog lies over the panes, and has the keys.
+    pub(crate) has_dialog: bool,
+    pub(crate) reverses_wheel: bool,
+    /// Whether clicks set points of measurements.
+    pub(crate) is_measuring: bool,
+    /// Whether drags move a point of a measurement.
+    pub(crate) drags_measure: bool,
 }
 
 /// What a person does in a pane.
@@ -66,7 +77,7 @@ pub(crate) struct Pointed {
 }
 
 /// Where a stack lies on the screen. The middle of the volume is in the middle of the pane.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Place {
     middle: Pos2,
     /// Points a world unit.
@@ -92,7 +103,51 @@ impl Place {
     }
 }
 
+/// A slice on the screen, for what is drawn over it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PaneView {
+    pub(crate) rect: Rect,
+    place: Place,
+    stack: Stack,
+    /// A point of the middle of the slice.
+    middle: Vec3,
+    /// Half of the thickness that is shown, world units.
+    half: f32,
+}
+
+impl PaneView {
+    fn new(rect: Rect, stack: &Stack, point: Vec3, slab: Slab) -> Self {
+        let middle = stack.moved(point, stack.index_of(point));
+        let half = 0.5 * slab.thickness.max(stack.step());
+        Self { rect, place: Place::new(rect, stack), stack: *stack, middle, half }
+    }
+
+    /// The point of the volume that is seen at a place of the screen.
+    pub(crate) fn pick(&self, at: Pos2) -> Option<Vec3> {
+        self.stack.inside(self.place.world(&self.stack, self.middle, at))
+    }
+
+    /// Whether a place of the screen shows the slice, and no control.
+    pub(crate) fn is_free(&self, at: Pos2) -> bool {
+        self.rect.contains(at) && !menu_corner(self.rect).contains(at)
+    }
+}
+
+impl Canvas for PaneView {
+    fn ends(&self, a: Vec3, b: Vec3) -> Option<[Pos2; 2]> {
+        Some([a, b].map(|point| self.place.screen(&self.stack, point)))
+    }
+
+    fn holds(&self, point: Vec3) -> bool {
+        (point - self.middle).dot(self.stack.towards).abs() <= self.half * 1.001
+    }
+}
+
 impl Pane {
+    pub(super) fn view(&self) -> Option<PaneView> {
+        self.view
+    }
+
     pub(super) fn choice(&self, number: usize) -> PlaneChoice {
         self.choice.unwrap_or(PlaneChoice::FIRST[number])
     }
@@ -104,11 +159,20 @@ impl Pane {
     /// The picture of the slice that is shown, and where it lies.
     pub(super) fn picture(&self) -> Option<(egui::TextureId, SliceGrid)> {
         let (_, grid, _) = self.shown.as_ref()?;
-        Some((self.texture.id()?, *grid))
+        self.texture.placed(grid)
     }
 
     pub(super) fn direction(&self) -> i32 {
         if self.direction < 0 { -1 } else { 1 }
+    }
+
+    /// The pane is on the screen no more.
+    pub(super) fn hide(&mut self) {
+        (self.view, self.window_from) = (None, None);
+    }
+
+    pub(super) fn end_drag(&mut self) {
+        self.window_from = None;
     }
 
     pub(super) fn note_direction(&mut self, by: i32) {
@@ -133,11 +197,18 @@ impl Pane {
             self.shown = Some((slice.clone(), spec.grid(dims, spacing), *stack));
         }
         self.shown.take_if(|(_, _, of)| &*of != stack);
-        let place = Place::new(rect, stack);
-        if let Some((slice, grid, _)) = &self.shown
-            && let Some(texture) = self.texture.of(ui.ctx(), &format!("slice {number}"), slice, window)
-        {
-            ui.painter().add(mesh(texture, &place, stack, grid));
+        let view = PaneView::new(rect, stack, point, slab);
+        let place = view.place;
+        self.view = Some(view);
+        if let Some((slice, grid, _)) = &self.shown {
+            // More pixels than the screen has are not worth their time.
+            let step =
+                grid.column.length().max(grid.row.length()) * place.scale * ui.ctx().pixels_per_point();
+            let stride = (1.0 / step).clamp(1.0, slice.size.into_iter().max().unwrap_or(1) as f32) as usize;
+            let (name, of) = (format!("slice {number}"), (slice, grid));
+            if let Some((texture, grid)) = self.texture.of(ui.ctx(), &name, of, (window, stride)) {
+                ui.painter().add(mesh(texture, &place, stack, &grid));
+            }
         }
         let (first, count) = (*stack.range().start(), stack.range().count());
         let name = self.choice(number).name(scene.orientation);
@@ -172,36 +243,48 @@ impl Pane {
         let is_down =
             |button| response.is_pointer_button_down_on() && ui.input(|i| i.pointer.button_down(button));
         let at = response.interact_pointer_pos();
+        let moves_point = match scene.is_measuring {
+            true => response.dragged_by(PointerButton::Primary) && !scene.drags_measure,
+            false => is_down(PointerButton::Primary) || response.clicked(),
+        };
         let events = ui.input(|i| i.events.clone());
         input.window = self.window_drag(&events, |at| is_over && scene.rect.contains(at));
         if self.window_from.is_some() || input.window.is_some() {
             // The point stays.
-        } else if let Some(at) = at.filter(|_| is_down(PointerButton::Primary) || response.clicked()) {
-            let found = clamped(stack, place.world(stack, point, at));
+        } else if let Some(at) = at.filter(|_| moves_point) {
+            let found = stack.nearest(place.world(stack, point, at));
             input.point = (found != point).then_some(found);
         }
         if is_down(PointerButton::Primary) || is_down(PointerButton::Secondary) {
             response.request_focus();
         }
-        input.is_double = response.double_clicked();
+        input.is_double = response.double_clicked() && !scene.is_measuring;
         if is_over {
             for event in &events {
                 if let Event::MouseWheel { unit, delta, modifiers, .. } = event
                     && !modifiers.command
                 {
-                    self.wheel += notches_of(*unit, delta.y);
+                    let notches = notches_of(*unit, delta.y);
+                    self.wheel += if scene.reverses_wheel { -notches } else { notches };
                 }
             }
             input.pages += self.wheel.trunc() as i32;
             self.wheel = self.wheel.fract();
         }
+        // With a modifier, a key means something else.
+        let pressed = |key: Key| {
+            let is_press = |event: &&Event| {
+                matches!(event, Event::Key { key: of, pressed: true, modifiers, .. }
+                if *of == key && modifiers.is_none())
+            };
+            if scene.has_dialog { 0 } else { events.iter().filter(is_press).count() as i32 }
+        };
         if response.has_focus() {
             let filter =
                 egui::EventFilter { horizontal_arrows: true, vertical_arrows: true, ..Default::default() };
             ui.memory_mut(|m| m.set_focus_lock_filter(id, filter));
             let stroke = Stroke::new(2.0, ui.visuals().selection.stroke.color);
             ui.painter().rect_stroke(scene.rect, 0.0, stroke, egui::StrokeKind::Inside);
-            let pressed = |key| ui.input(|i| i.num_presses(key)) as i32;
             input.pages += pressed(Key::ArrowUp) + pressed(Key::ArrowRight);
             input.pages -= pressed(Key::ArrowDown) + pressed(Key::ArrowLeft);
         }
@@ -210,7 +293,6 @@ impl Pane {
             .is_none_or(|focused| (0..3).all(|pane| focused != egui::Id::unique("slice pane").with(pane)));
         let has_keys = response.has_focus() || (no_pane_has_focus && scene.has_keys);
         if has_keys && !ui.ctx().text_edit_focused() {
-            let pressed = |key| ui.input(|i| i.num_presses(key)) as i32;
             input.pages += pressed(Key::PageUp) - pressed(Key::PageDown);
         }
         input.is_active = is_over || response.gained_focus();
@@ -254,8 +336,8 @@ impl Pane {
         name: &str,
     ) -> Option<PlaneChoice> {
         let mut choice = None;
-        let corner = Rect::from_min_size(scene.rect.min + vec2(6.0, 4.0), vec2(110.0, 22.0));
-        let ui = &mut ui.new_child(egui::UiBuilder::new().max_rect(corner).id_salt(("plane", number)));
+        let corner = egui::UiBuilder::new().max_rect(menu_corner(scene.rect));
+        let ui = &mut ui.new_child(corner.id_salt(("plane", number)));
         let text = egui::RichText::new(name).color(COLORS[number]).strong();
         let planes = [PlaneChoice::Standard(Side::Top), PlaneChoice::Standard(Side::Front)];
         let planes = planes.into_iter().chain([PlaneChoice::Standard(Side::Right)]);
@@ -297,15 +379,17 @@ pub(super) fn pointed(
     let inside =
         |x: f32, size: u32| (-0.5..size as f32 - 0.5).contains(&x).then(|| x.round().max(0.0) as u32);
     let (column, row) = (inside(column, slice.size[0])?, inside(row, slice.size[1])?);
-    let is_in_volume = clamped(stack, point).distance(point) <= stack.voxels().1.min_element() * 1e-2;
-    is_in_volume.then(|| Pointed { point, value: slice.value(column, row) })
+    stack.inside(point).map(|point| Pointed { point, value: slice.value(column, row) })
 }
 
-/// The nearest point of the volume.
-fn clamped(stack: &Stack, point: Vec3) -> Vec3 {
-    let (dims, spacing) = stack.voxels();
-    let half = Vec3::from_array(dims.map(|n| n as f32)) * spacing * 0.5;
-    point.clamp(-half, half)
+/// Where the name of the plane is.
+fn menu_corner(pane: Rect) -> Rect {
+    Rect::from_min_size(pane.min + vec2(6.0, 4.0), vec2(110.0, 22.0))
+}
+
+/// Draws over slices, which lie on black.
+pub(crate) fn pen(painter: &egui::Painter) -> Pen<'_> {
+    ViewAids::default().pen(painter)
 }
 
 /// What the volume leaves of the plane, covered by the texture of the slice.
@@ -360,11 +444,8 @@ fn draw_letters(ui: &Ui, stack: &Stack, orientation: &Orientation, rect: Rect) {
 
 /// Writes words that stand out from any grey.
 fn write(painter: &egui::Painter, at: Pos2, align: Align2, text: &str) {
-    let font = FontId::proportional(12.0);
-    for shift in [vec2(-1.0, 0.0), vec2(1.0, 0.0), vec2(0.0, -1.0), vec2(0.0, 1.0)] {
-        painter.text(at + shift, align, text, font.clone(), Color32::from_black_alpha(190));
-    }
-    painter.text(at, align, text, font, Color32::from_gray(225));
+    let pen = pen(painter);
+    pen.text(at, align, text, 12.0, pen.ink);
 }
 
 /// Shows lines about what lies under the pointer.
