@@ -1,4 +1,4 @@
-//! Remembers what the person chooses: panel, size, theme, background, axes, box and light. A choice is what changes in
+//! Remembers what the person chooses: panel, size, theme, background, axes, box, legend and light. A choice is what changes in
 //! the window; flags, settings and states are none.
 
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ use isinglass_formats::{Remembered, SavedView, Srgb};
 use super::ViewerApp;
 use super::state::{THEMES, theme_preference};
 use crate::paint::view_aids::ViewAids;
-use crate::panels::background::{Background, write_text};
+use crate::panels::background::{Background, write_with_folder};
 use crate::panels::light::usual_lighting;
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
@@ -66,6 +66,7 @@ impl ChoiceKeeper {
         newer(of_before.background, of_shown.background, &mut view.background);
         newer(of_before.shows_axes, of_shown.shows_axes, &mut view.shows_axes);
         newer(of_before.shows_box, of_shown.shows_box, &mut view.shows_box);
+        newer(of_before.shows_legend, of_shown.shows_legend, &mut view.shows_legend);
         if self.chosen != chosen {
             self.changed_at = Some(now);
         }
@@ -84,11 +85,17 @@ impl ChoiceKeeper {
         }
         self.changed_at = None;
         let text = self.chosen.to_toml();
-        self.writing = Background::run(&waker_of(ctx), move || {
-            let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
-            folder.map_err(|e| format!("{}: {e}", file.display()))?;
-            write_text(file, &text, true).map(drop)
-        });
+        self.writing = Background::run(&waker_of(ctx), move || write_with_folder(&file, text.as_bytes()));
+    }
+
+    /// Writes at once what is not written yet, for a window that has closed.
+    fn finish(&mut self) {
+        let running = self.writing.finish().unwrap_or(Ok(()));
+        let file = self.file.as_ref().filter(|_| self.changed_at.take().is_some());
+        let rest = file.map_or(Ok(()), |file| write_with_folder(file, self.chosen.to_toml().as_bytes()));
+        if let Err(problem) = running.and(rest) {
+            tracing::warn!("choices are not kept: {problem}");
+        }
     }
 }
 
@@ -107,6 +114,7 @@ impl<S: FrameSource> ViewerApp<S> {
             background: Some(Srgb(self.aids.background)),
             shows_axes: Some(self.aids.shows_axes),
             shows_box: Some(self.aids.shows_box),
+            shows_legend: Some(self.aids.shows_legend),
             ..SavedView::default()
         };
         let light = self.viewing.look().filter(|_| self.keeper.is_lit).map(|look| look.lighting);
@@ -114,6 +122,11 @@ impl<S: FrameSource> ViewerApp<S> {
         let shown = Remembered { size: window_size(ctx), panel, view, light };
         self.keeper.note(now, shown);
         self.keeper.write(ctx, now);
+    }
+
+    /// Keeps the last choices of a window that has closed.
+    pub(crate) fn finish_choices(&mut self) {
+        self.keeper.finish();
     }
 
     /// Gives a volume the person's light behind its first frame, unless it came with a light. So the first frame waits
@@ -145,6 +158,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let first = ViewAids::default();
         self.aids.background = first.background;
         (self.aids.shows_axes, self.aids.shows_box) = (true, first.shows_box);
+        self.aids.shows_legend = first.shows_legend;
         if let Some(look) = self.viewing.look() {
             self.viewing.set_look(now, Look { lighting: usual_lighting(), ..(*look).clone() });
         }

@@ -25,6 +25,7 @@ pub(crate) enum PageWish {
     OpenState(PathBuf),
     /// Open a file that the person has yet to choose.
     ChooseFile,
+    ChooseFolder,
     OpenSample(Builtin),
     OpenRecent(LoadRequest),
     Cancel,
@@ -33,7 +34,7 @@ pub(crate) enum PageWish {
     Forget(usize),
 }
 
-/// What the person did last. What goes wrong with it is said where it was done.
+/// What the person did. What goes wrong with it is said where it was done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Act {
     Open,
@@ -51,6 +52,8 @@ pub(crate) struct PageScene<'a> {
     pub(crate) problem: Option<(Act, &'a str)>,
     /// Whether a picture is shown behind the page.
     pub(crate) has_session: bool,
+    /// Whether files are chosen by the system's dialog, which opens either files or folders.
+    pub(crate) has_system_dialog: bool,
     /// Size of the volume that is shown in this process, bytes.
     pub(crate) held: u64,
 }
@@ -264,9 +267,12 @@ fn header(ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
 
 fn open_choice(ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
     choice(ui, (Icon::FolderOpen, "Open a file"), height, |ui| {
-        ui.horizontal(|ui| {
+        ui.horizontal_wrapped(|ui| {
             if ui.button("Choose a file…").on_hover_text("Ctrl+O").clicked() {
                 *wish = Some(PageWish::ChooseFile);
+            }
+            if scene.has_system_dialog && ui.button("Choose a folder…").clicked() {
+                *wish = Some(PageWish::ChooseFolder);
             }
         });
         match problem_of(scene, Act::Open) {

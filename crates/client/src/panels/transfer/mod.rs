@@ -446,9 +446,9 @@ impl TransferEditor {
             });
         });
         if let Some(domain) = domain {
-            self.begin();
             let transfer = TransferFunction { domain, ..self.curve.transfer.clone() };
-            self.set(transfer, scale);
+            let domain = scale.domain(&transfer.domain);
+            self.change(Curve { transfer, domain, ..self.curve.clone() });
             self.fit();
         }
     }

@@ -52,7 +52,7 @@ fn everything_on_the_page_has_a_name_and_is_reached_by_tab() {
     let servers = Servers { check_gate: Some(Mutex::new(gate)), ..Servers::default() };
     let mut stage = Stage::new(servers, |_| Recent::default());
     let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
-    stage.window.state_mut().open(LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
+    stage.window.state_mut().open(Act::Open, LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
     stage.window.state_mut().has_session = true;
     stage.window.run_steps(3);
     assert_eq!(assert_all_named(&stage.window), 2);

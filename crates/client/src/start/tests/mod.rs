@@ -432,7 +432,7 @@ fn a_slow_opening_holds_up_no_refresh_and_can_be_cancelled() {
     let mut stage = Stage::new(servers, |_| Recent::default());
     let open = |stage: &mut Stage| {
         let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
-        stage.window.state_mut().open(LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
+        stage.window.state_mut().open(Act::Open, LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
     };
     open(&mut stage);
     stage.window.run_steps(50);

@@ -50,7 +50,7 @@ fn a_raw_volume_is_opened_again_as_it_was_from_the_list_and_by_a_state() {
     let source = stage.folder.path().join("data/scan.raw").to_string_lossy().into_owned();
     let spacing = Some(Vec3::new(1.0, 1.0, 2.5));
     let volume = VolumeSource { raw: Some(raw()), spacing, ..VolumeSource::new(source.clone()) };
-    stage.window.state_mut().open(volume.clone().request(MAX_BYTES));
+    stage.window.state_mut().open(Act::Open, volume.clone().request(MAX_BYTES));
     until(&mut stage.window, "the volume", is_shown);
     let file = stage.folder.path().join("recent.toml");
     until(&mut stage.window, "the list's file", |_| !Recent::read(&file).unwrap().entries.is_empty());
@@ -67,8 +67,7 @@ fn a_raw_volume_is_opened_again_as_it_was_from_the_list_and_by_a_state() {
     until(&mut stage.window, "the volume", is_shown);
 
     // A state of it brings its shape along; without one the file says nothing of itself.
-    let ctx = stage.window.ctx.clone();
-    stage.window.state_mut().close(&ctx);
+    stage.window.state_mut().close();
     for (saved, is_opened) in [(VolumeSource::new(source), false), (volume, true)] {
         let saved = SavedVolume { name: "scan.raw".into(), dims: [6, 5, 2], ..SavedVolume::default() }
             .opened_from(&saved);
@@ -112,7 +111,7 @@ fn a_name_that_is_not_in_the_folder_is_said_to_be_missing() {
 fn a_server_that_started_and_was_not_taken_ends_on_another_thread() {
     let mut stage = Stage::new(Servers::default(), |_| Recent::default());
     let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
-    stage.window.state_mut().open(VolumeSource::new(source).request(MAX_BYTES));
+    stage.window.state_mut().open(Act::Open, VolumeSource::new(source).request(MAX_BYTES));
     let servers = stage.servers.clone();
     let num_running = || servers.num_running.load(Ordering::SeqCst);
     let patience = Instant::now() + Duration::from_secs(60);
