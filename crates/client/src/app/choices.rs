@@ -30,6 +30,8 @@ pub(super) struct ChoiceKeeper {
     writing: Background<()>,
     /// Whether the volume shown has its first light already.
     is_lit: bool,
+    /// A size that a state asks for, and until when it may come. It is no choice.
+    awaited_size: Option<([u32; 2], Duration)>,
 }
 
 impl ChoiceKeeper {
@@ -44,13 +46,30 @@ impl ChoiceKeeper {
         self.is_lit |= has_light;
     }
 
+    /// A state asks for a size of the window.
+    pub(super) fn await_size(&mut self, now: Duration, size: [u32; 2]) {
+        self.awaited_size = Some((size, now + SIZE_PATIENCE));
+    }
+
+    /// The person has set the light.
+    pub(super) fn note_light(&mut self, now: Duration, light: Lighting) {
+        (self.is_lit, self.chosen.light, self.changed_at) = (true, Some(light), Some(now));
+    }
+
     /// Another source is shown.
     pub(super) fn turn(&mut self) {
         (self.shown, self.is_lit) = (None, false);
     }
 
     /// Takes over what differs from what was shown before.
-    fn note(&mut self, now: Duration, shown: Remembered) {
+    fn note(&mut self, now: Duration, mut shown: Remembered) {
+        if let Some((wanted, until)) = self.awaited_size {
+            let is_near = |size: [u32; 2]| (0..2).all(|side| size[side].abs_diff(wanted[side]) <= 1);
+            match shown.size.is_some_and(is_near) || now >= until {
+                true => self.awaited_size = None,
+                false => shown.size = None,
+            }
+        }
         let Some(before) = self.shown.replace(shown.clone()) else { return };
         let chosen = self.chosen.clone();
         fn newer<T: PartialEq>(before: Option<T>, shown: Option<T>, chosen: &mut Option<T>) {
@@ -60,7 +79,6 @@ impl ChoiceKeeper {
         }
         newer(before.size, shown.size, &mut self.chosen.size);
         newer(before.panel, shown.panel, &mut self.chosen.panel);
-        newer(before.light, shown.light, &mut self.chosen.light);
         let (of_before, of_shown, view) = (before.view, shown.view, &mut self.chosen.view);
         newer(of_before.theme, of_shown.theme, &mut view.theme);
         newer(of_before.background, of_shown.background, &mut view.background);
@@ -117,9 +135,8 @@ impl<S: FrameSource> ViewerApp<S> {
             shows_legend: Some(self.aids.shows_legend),
             ..SavedView::default()
         };
-        let light = self.viewing.look().filter(|_| self.keeper.is_lit).map(|look| look.lighting);
         let panel = self.shows_bars.then_some(self.is_look_open);
-        let shown = Remembered { size: window_size(ctx), panel, view, light };
+        let shown = Remembered { size: window_size(ctx), panel, view, light: None };
         self.keeper.note(now, shown);
         self.keeper.write(ctx, now);
     }
@@ -164,7 +181,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         // What this changes is no choice.
         self.keeper.forget_shown(true);
-        self.tell(now, "the choices are those of the first start");
+        self.tell(now, "Settings reset to defaults");
         ctx.request_repaint();
     }
 }
@@ -181,6 +198,8 @@ fn window_size(ctx: &egui::Context) -> Option<[u32; 2]> {
 
 /// The longest time of a server for a whole frame with which ambient occlusion is on from the first.
 const LONGEST_FRAME: Duration = Duration::from_secs(1);
+/// A window takes the size that it is asked for within this time, or never.
+const SIZE_PATIENCE: Duration = Duration::from_secs(2);
 /// Choices are written when none has changed for this time.
 const WRITE_AFTER: Duration = Duration::from_secs(1);
 
@@ -208,6 +227,21 @@ mod tests {
         keeper.note(Duration::from_secs(2), of(Theme::Dark, [900, 500]));
         assert_eq!(keeper.chosen, theme_only);
         keeper.note(Duration::from_secs(3), of(Theme::Dark, [901, 500]));
-        assert_eq!(keeper.chosen, Remembered { size: Some([901, 500]), ..theme_only });
+        let wide = Remembered { size: Some([901, 500]), ..theme_only };
+        assert_eq!(keeper.chosen, wide);
+        // Nor is the size that a state asks for, whenever it comes.
+        keeper.await_size(Duration::from_secs(4), [640, 480]);
+        for (tenths, size) in [(41, [901, 500]), (42, [901, 500]), (43, [641, 480]), (44, [641, 480])] {
+            keeper.note(Duration::from_millis(100 * tenths), of(Theme::Dark, size));
+            assert_eq!(keeper.chosen, wide, "{size:?}");
+        }
+        keeper.note(Duration::from_secs(5), of(Theme::Dark, [650, 480]));
+        assert_eq!(keeper.chosen.size, Some([650, 480]), "the person's own");
+        keeper.await_size(Duration::from_secs(6), [99_999, 480]);
+        keeper.note(Duration::from_secs(7), of(Theme::Dark, [1920, 480]));
+        keeper.note(Duration::from_secs(9), of(Theme::Dark, [1920, 480]));
+        assert_eq!(keeper.chosen.size, Some([650, 480]), "a size that the screen does not have");
+        keeper.note(Duration::from_secs(10), of(Theme::Dark, [1900, 480]));
+        assert_eq!(keeper.chosen.size, Some([1900, 480]));
     }
 }

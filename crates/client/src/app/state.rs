@@ -218,7 +218,9 @@ impl<S: FrameSource> ViewerApp<S> {
                 // What the bars take and the number of pixels a point were not known when the window opened.
                 let [width, height] = camera.size.map(|side| side as f32 / ctx.pixels_per_point());
                 let bars = ctx.content_rect().size() - self.room.size();
-                ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(egui::vec2(width, height) + bars));
+                let size = egui::vec2(width, height) + bars;
+                self.keeper.await_size(now, [size.x.round() as u32, size.y.round() as u32]);
+                ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(size));
             }
             self.turn_to_state(ReadState { state, note: None });
         }

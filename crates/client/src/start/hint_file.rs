@@ -128,6 +128,17 @@ mod tests {
         };
         let shown: Vec<_> = (0..5).map(|_| start().is_some()).collect();
         assert_eq!(shown, [true, true, true, false, false]);
+        // What is done last is kept at exit.
+        std::fs::remove_file(folder.path().join("hints.txt")).unwrap();
+        let mut file = HintFile::new(Some(&recent), &ctx);
+        let mut hints = None;
+        while hints.is_none() {
+            hints = file.take(&ctx);
+        }
+        let mut hints = hints.unwrap();
+        hints.note(Hint::Zoom);
+        file.finish(&hints);
+        assert_eq!(read(&folder.path().join("hints.txt")), (1, hints));
     }
 
     fn break_when_written(file: &mut HintFile) {

@@ -189,7 +189,7 @@ impl StartPage {
                 (Some(problem), _) => style::problem(ui, problem),
                 (None, Some(hint)) => small(ui, hint),
                 (None, None) => {
-                    small(ui, "Paste the link that 'isinglass serve' printed; it lets in one viewer.");
+                    small(ui, "Paste the link that 'isinglass serve' printed; it is valid for one viewer.");
                 }
             }
         });
@@ -257,7 +257,7 @@ fn header(ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
                 if ui.button("Back to the picture").on_hover_text("Esc").clicked() {
                     *wish = Some(PageWish::Back);
                 }
-                if ui.button("Close it").on_hover_text("ends what is shown, and frees its memory").clicked() {
+                if ui.button("Close it").on_hover_text("Closes the volume and frees its memory").clicked() {
                     *wish = Some(PageWish::Close);
                 }
             });

@@ -172,6 +172,13 @@ mod tests {
             let expected = Recent { entries: expected, ..before.clone() };
             assert_eq!(list.list, expected);
             assert_eq!(Recent::read(&file).unwrap(), expected);
+            // A window that closes at once loses nothing either.
+            std::fs::write(&file, before.to_toml()).unwrap();
+            let mut list = RecentList::new(Some(file.clone()), &ctx);
+            list.note(entry("/c"), None, &ctx);
+            (0..num_forgotten).for_each(|_| list.forget(0, &ctx));
+            list.finish();
+            assert_eq!(Recent::read(&file).unwrap(), expected);
         }
     }
 
