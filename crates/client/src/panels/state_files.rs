@@ -41,7 +41,7 @@ impl StateFiles {
             KnownFile::State => read(&path),
             KnownFile::Transfer => Ok(FileContent::Other(path)),
             KnownFile::Volume => Err(format!(
-                "{}: a volume, which does not open beside this one; 'isinglass view' opens it",
+                "{}: a volume cannot be opened beside this one; 'isinglass view' opens it",
                 path.display()
             )),
             KnownFile::Unknown(problem) => Err(problem),

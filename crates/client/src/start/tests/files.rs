@@ -66,7 +66,7 @@ fn ctrl_o_opens_volumes_from_the_list_beside_the_picture() {
     stage.window.event(Event::Paste(path));
     stage.window.run_steps(3);
     until(&mut stage.window, "what it is", |w| {
-        w.query_by_label_contains("noise.bin: no header that is known").is_some()
+        w.query_by_label_contains("noise.bin is not supported: no header that is known").is_some()
     });
     press(&mut stage.window, Key::Enter);
     assert!(stage.has("Open a file") && stage.window.state().opening.is_none());
@@ -109,9 +109,10 @@ fn files_over_the_window_are_announced() {
         let file = egui::HoveredFile { path: Some(path), ..Default::default() };
         stage.window.input_mut().hovered_files = vec![file];
     };
-    for (name, told) in
-        [("film.nrrd", "Open film.nrrd, "), ("noise.bin", "noise.bin: no header that is known")]
-    {
+    for (name, told) in [
+        ("film.nrrd", "Open film.nrrd, "),
+        ("noise.bin", "noise.bin is not supported: no header that is known"),
+    ] {
         hover(&mut stage, name);
         until(&mut stage.window, told, |w| w.query_by_label_contains(told).is_some());
     }
