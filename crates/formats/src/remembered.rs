@@ -17,7 +17,7 @@ pub struct Remembered {
     pub size: Option<[u32; 2]>,
     /// Whether the panel is open.
     pub panel: Option<bool>,
-    /// Background, theme, axes and box.
+    /// Background, theme, axes, box and legend.
     pub view: SavedView,
     /// The light of volumes that are opened without one.
     pub light: Option<Lighting>,
@@ -75,6 +75,7 @@ mod tests {
             theme: Some(Theme::Light),
             background: Some(Srgb([1, 2, 3])),
             shows_axes: Some(false),
+            shows_legend: Some(true),
             ..SavedView::default()
         };
         let light = Some(Lighting { ambient_occlusion: 0.25, ..Lighting::default() });

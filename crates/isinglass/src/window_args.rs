@@ -68,6 +68,7 @@ impl WindowArgs {
         let saved = SavedView {
             shows_box: chosen(saved.shows_box, has("volume_box"), chose.shows_box),
             shows_axes: chosen(saved.shows_axes, has("axes"), chose.shows_axes),
+            shows_legend: saved.shows_legend.or(chose.shows_legend),
             background: chosen(saved.background, has("background"), chose.background),
             theme: chosen(saved.theme, has("theme"), chose.theme),
             ..saved

@@ -64,7 +64,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let small = |text: String| RichText::new(text).size(12.0).color(quiet(ui.ctx()));
         let (source, name) = (self.viewing.source(), &self.options.server_name);
         let (state, stats) = (source.state(), source.stats());
-        let is_silent = state == State::Connected && stats.is_silent();
+        let is_silent = source.is_silent();
         let server = match (&state, stats.rtt_micros) {
             (State::Connected, micros) if micros > 0 && !is_silent => {
                 format!("{name}  {}", format_duration(Duration::from_micros(micros)))
@@ -91,7 +91,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// The room for panes at the bottom: above the bar of parts, and beside axes and scale bar, or above these if
+    /// The room for panes at the bottom: above the bar of parts, beside axes and scale bar. These are below it if
     /// there is too little.
     pub(crate) fn room_at_bottom(&self) -> Rect {
         let corner = if self.aids.shows_axes { view_aids::CORNER } else { egui::Vec2::ZERO };

@@ -1,4 +1,4 @@
-//! Remembers what the person chooses: panel, size, theme, background, axes, box and light. A choice is what changes in
+//! Remembers what the person chooses: panel, size, theme, background, axes, box, legend and light. A choice is what changes in
 //! the window; flags, settings and states are none.
 
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ use isinglass_formats::{Remembered, SavedView, Srgb};
 use super::ViewerApp;
 use super::state::{THEMES, theme_preference};
 use crate::paint::view_aids::ViewAids;
-use crate::panels::background::{Background, write_text};
+use crate::panels::background::{Background, write_with_folder};
 use crate::panels::light::usual_lighting;
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
@@ -30,6 +30,8 @@ pub(super) struct ChoiceKeeper {
     writing: Background<()>,
     /// Whether the volume shown has its first light already.
     is_lit: bool,
+    /// A size that a state asks for, and until when it may come. It is no choice.
+    awaited_size: Option<([u32; 2], Duration)>,
 }
 
 impl ChoiceKeeper {
@@ -44,13 +46,30 @@ impl ChoiceKeeper {
         self.is_lit |= has_light;
     }
 
+    /// A state asks for a size of the window.
+    pub(super) fn await_size(&mut self, now: Duration, size: [u32; 2]) {
+        self.awaited_size = Some((size, now + SIZE_PATIENCE));
+    }
+
+    /// The person has set the light.
+    pub(super) fn note_light(&mut self, now: Duration, light: Lighting) {
+        (self.is_lit, self.chosen.light, self.changed_at) = (true, Some(light), Some(now));
+    }
+
     /// Another source is shown.
     pub(super) fn turn(&mut self) {
         (self.shown, self.is_lit) = (None, false);
     }
 
     /// Takes over what differs from what was shown before.
-    fn note(&mut self, now: Duration, shown: Remembered) {
+    fn note(&mut self, now: Duration, mut shown: Remembered) {
+        if let Some((wanted, until)) = self.awaited_size {
+            let is_near = |size: [u32; 2]| (0..2).all(|side| size[side].abs_diff(wanted[side]) <= 1);
+            match shown.size.is_some_and(is_near) || now >= until {
+                true => self.awaited_size = None,
+                false => shown.size = None,
+            }
+        }
         let Some(before) = self.shown.replace(shown.clone()) else { return };
         let chosen = self.chosen.clone();
         fn newer<T: PartialEq>(before: Option<T>, shown: Option<T>, chosen: &mut Option<T>) {
@@ -60,12 +79,12 @@ impl ChoiceKeeper {
         }
         newer(before.size, shown.size, &mut self.chosen.size);
         newer(before.panel, shown.panel, &mut self.chosen.panel);
-        newer(before.light, shown.light, &mut self.chosen.light);
         let (of_before, of_shown, view) = (before.view, shown.view, &mut self.chosen.view);
         newer(of_before.theme, of_shown.theme, &mut view.theme);
         newer(of_before.background, of_shown.background, &mut view.background);
         newer(of_before.shows_axes, of_shown.shows_axes, &mut view.shows_axes);
         newer(of_before.shows_box, of_shown.shows_box, &mut view.shows_box);
+        newer(of_before.shows_legend, of_shown.shows_legend, &mut view.shows_legend);
         if self.chosen != chosen {
             self.changed_at = Some(now);
         }
@@ -84,11 +103,17 @@ impl ChoiceKeeper {
         }
         self.changed_at = None;
         let text = self.chosen.to_toml();
-        self.writing = Background::run(&waker_of(ctx), move || {
-            let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
-            folder.map_err(|e| format!("{}: {e}", file.display()))?;
-            write_text(file, &text, true).map(drop)
-        });
+        self.writing = Background::run(&waker_of(ctx), move || write_with_folder(&file, text.as_bytes()));
+    }
+
+    /// Writes at once what is not written yet, for a window that has closed.
+    fn finish(&mut self) {
+        let running = self.writing.finish().unwrap_or(Ok(()));
+        let file = self.file.as_ref().filter(|_| self.changed_at.take().is_some());
+        let rest = file.map_or(Ok(()), |file| write_with_folder(file, self.chosen.to_toml().as_bytes()));
+        if let Err(problem) = running.and(rest) {
+            tracing::warn!("choices are not kept: {problem}");
+        }
     }
 }
 
@@ -107,13 +132,18 @@ impl<S: FrameSource> ViewerApp<S> {
             background: Some(Srgb(self.aids.background)),
             shows_axes: Some(self.aids.shows_axes),
             shows_box: Some(self.aids.shows_box),
+            shows_legend: Some(self.aids.shows_legend),
             ..SavedView::default()
         };
-        let light = self.viewing.look().filter(|_| self.keeper.is_lit).map(|look| look.lighting);
         let panel = self.shows_bars.then_some(self.is_look_open);
-        let shown = Remembered { size: window_size(ctx), panel, view, light };
+        let shown = Remembered { size: window_size(ctx), panel, view, light: None };
         self.keeper.note(now, shown);
         self.keeper.write(ctx, now);
+    }
+
+    /// Keeps the last choices of a window that has closed.
+    pub(crate) fn finish_choices(&mut self) {
+        self.keeper.finish();
     }
 
     /// Gives a volume the person's light behind its first frame, unless it came with a light. So the first frame waits
@@ -145,12 +175,13 @@ impl<S: FrameSource> ViewerApp<S> {
         let first = ViewAids::default();
         self.aids.background = first.background;
         (self.aids.shows_axes, self.aids.shows_box) = (true, first.shows_box);
+        self.aids.shows_legend = first.shows_legend;
         if let Some(look) = self.viewing.look() {
             self.viewing.set_look(now, Look { lighting: usual_lighting(), ..(*look).clone() });
         }
         // What this changes is no choice.
         self.keeper.forget_shown(true);
-        self.tell(now, "the choices are those of the first start");
+        self.tell(now, "Settings reset to defaults");
         ctx.request_repaint();
     }
 }
@@ -167,6 +198,8 @@ fn window_size(ctx: &egui::Context) -> Option<[u32; 2]> {
 
 /// The longest time of a server for a whole frame with which ambient occlusion is on from the first.
 const LONGEST_FRAME: Duration = Duration::from_secs(1);
+/// A window takes the size that it is asked for within this time, or never.
+const SIZE_PATIENCE: Duration = Duration::from_secs(2);
 /// Choices are written when none has changed for this time.
 const WRITE_AFTER: Duration = Duration::from_secs(1);
 
@@ -194,6 +227,21 @@ mod tests {
         keeper.note(Duration::from_secs(2), of(Theme::Dark, [900, 500]));
         assert_eq!(keeper.chosen, theme_only);
         keeper.note(Duration::from_secs(3), of(Theme::Dark, [901, 500]));
-        assert_eq!(keeper.chosen, Remembered { size: Some([901, 500]), ..theme_only });
+        let wide = Remembered { size: Some([901, 500]), ..theme_only };
+        assert_eq!(keeper.chosen, wide);
+        // Nor is the size that a state asks for, whenever it comes.
+        keeper.await_size(Duration::from_secs(4), [640, 480]);
+        for (tenths, size) in [(41, [901, 500]), (42, [901, 500]), (43, [641, 480]), (44, [641, 480])] {
+            keeper.note(Duration::from_millis(100 * tenths), of(Theme::Dark, size));
+            assert_eq!(keeper.chosen, wide, "{size:?}");
+        }
+        keeper.note(Duration::from_secs(5), of(Theme::Dark, [650, 480]));
+        assert_eq!(keeper.chosen.size, Some([650, 480]), "the person's own");
+        keeper.await_size(Duration::from_secs(6), [99_999, 480]);
+        keeper.note(Duration::from_secs(7), of(Theme::Dark, [1920, 480]));
+        keeper.note(Duration::from_secs(9), of(Theme::Dark, [1920, 480]));
+        assert_eq!(keeper.chosen.size, Some([650, 480]), "a size that the screen does not have");
+        keeper.note(Duration::from_secs(10), of(Theme::Dark, [1900, 480]));
+        assert_eq!(keeper.chosen.size, Some([1900, 480]));
     }
 }

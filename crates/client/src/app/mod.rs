@@ -347,6 +347,10 @@ impl<S: FrameSource> eframe::App for ViewerApp<S> {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
     }
+
+    fn on_exit(&mut self) {
+        self.finish_choices();
+    }
 }
 
 /// Whether no panel covers a point of the picture.

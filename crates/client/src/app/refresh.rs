@@ -219,6 +219,8 @@ impl<S: FrameSource> ViewerApp<S> {
             (false, _) if !is_dead => Some(OVERLAY_PERIOD),
             // Only the rate of bytes still falls, or the age grows without a connection.
             (true, true) => Some(SETTLED_PERIOD),
+            // A server that falls silent wakes nobody.
+            (true, false) if *state == State::Connected => Some(SETTLED_PERIOD),
             _ => None,
         }
     }
@@ -271,7 +273,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let interval = self.refreshes.interval().filter(|_| is_active);
         let state = source.state();
         // Without a connection the round trip is unknown, and nothing arrives.
-        let is_silent = state == State::Connected && stats.is_silent();
+        let is_silent = source.is_silent();
         let is_connected = state == State::Connected && !is_silent;
         let round_trip = is_connected.then(|| micros(stats.rtt_micros)).flatten();
         OverlayModel {

@@ -109,6 +109,7 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn turn_light(&mut self, now: Duration, picture: &Intrinsics) {
         let (Some(drag), Some(look)) = (self.pointer.take_light_drag(), self.viewing.look()) else { return };
         let lighting = light::turned(look.lighting, drag, picture.height as f32, self.world_from_view());
+        self.keeper.note_light(now, lighting);
         self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
     }
 
@@ -126,7 +127,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let world_from_view = self.world_from_view();
         let Some(description) = self.viewing.source().description() else { return };
         let unit = description.volume.unit.clone();
-        self.poll_gallery(ctx, &look, &scale, &description.volume);
+        self.poll_gallery(ctx, now, &look, &scale, &description.volume);
         let before = self.shown_settings();
         let mut resets_choices = false;
         let mut settings = LookSettings {
@@ -168,6 +169,9 @@ impl<S: FrameSource> ViewerApp<S> {
             wanted.transfer = transfer;
         }
         wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
+        if wanted.lighting != look.lighting {
+            self.keeper.note_light(now, wanted.lighting);
+        }
         if wanted != *look {
             self.viewing.set_look(now, wanted);
             // The picture has to be labelled as older.
@@ -185,20 +189,22 @@ impl<S: FrameSource> ViewerApp<S> {
     fn poll_gallery(
         &mut self,
         ctx: &egui::Context,
+        now: Duration,
         look: &Look,
         scale: &ValueScale,
         volume: &VolumeDescription,
     ) {
+        self.gallery.follow(now, volume, look);
         if !self.is_look_open {
             return;
         }
-        self.gallery.follow(volume, look);
         let is_dragging = ctx.input(|i| i.pointer.any_down());
         let is_free = !self.screenshots.is_busy() && !self.was_active && !is_dragging;
         if let Some((_, controls)) = self.controls.as_ref().filter(|_| is_free)
             && self.viewing.source().state() == State::Connected
         {
-            self.gallery.poll(ctx, self.viewing.source(), scale, (controls.pose(), self.options.fov_y));
+            let camera = (controls.pose(), self.options.fov_y);
+            self.gallery.poll(ctx, now, self.viewing.source(), scale, camera);
         }
     }
 

@@ -16,7 +16,7 @@ use crate::paint::view_aids::ViewAids;
 use crate::panels::controls::{self, percent, row};
 use crate::panels::gallery::Gallery;
 use crate::panels::state_files::{StateFiles, StateWish};
-use crate::panels::style::title;
+use crate::panels::style::{BACKGROUNDS, title};
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
 use crate::panels::{clip, color_well, light, surfaces};
@@ -62,7 +62,9 @@ pub(crate) fn show(
     let is_iso = settings.look.mode == Mode::Iso;
     let mut sections = |ui: &mut Ui, layout: Layout| {
         layout.section(ui, "Presets", true, |ui| {
-            if let Some(entry) = settings.gallery.show(ui, &settings.look, settings.volume) {
+            if let Some(entry) =
+                settings.gallery.show(ui, &settings.look, editor.is_edited(), settings.volume)
+            {
                 editor.note_present();
                 entry.set(&mut settings.look, scale);
             }
@@ -71,7 +73,11 @@ pub(crate) fn show(
             layout.section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
         }
         let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
-        layout.section(ui, "Transfer function", true, |ui| editor.show(ui, scale, surfaces.as_slice()));
+        let VolumeDescription { name, value_range, .. } = settings.volume;
+        let presets: Vec<_> = isinglass_formats::fitting_presets(name, *value_range).collect();
+        layout.section(ui, "Transfer function", true, |ui| {
+            editor.show(ui, scale, &presets, surfaces.as_slice());
+        });
         layout.section(ui, "Light", false, |ui| {
             light::show(ui, &mut settings.look, settings.world_from_view);
         });
@@ -175,7 +181,7 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     let projection = settings.bindings.with_key("projection", Action::Projection);
     ui.horizontal(|ui| {
         ui.label(projection);
-        for (name, is_orthographic) in [("perspective", false), ("orthographic", true)] {
+        for (name, is_orthographic) in [("Perspective", false), ("Parallel", true)] {
             ui.selectable_value(settings.is_orthographic, is_orthographic, name);
         }
     });
@@ -189,7 +195,7 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     });
     ui.horizontal(|ui| {
         ui.label("background");
-        for (name, color) in [("black", [0; 3]), ("grey", [58, 60, 66]), ("white", [255; 3])] {
+        for (name, color) in BACKGROUNDS {
             ui.selectable_value(&mut aids.background, color, name);
         }
         color_well::show(ui, &mut aids.background, "background colour");
@@ -198,17 +204,17 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
         ui.label("theme");
         let mut theme = ui.ctx().options(|o| o.theme_preference);
         for (name, wanted) in [
-            ("dark", egui::ThemePreference::Dark),
-            ("light", egui::ThemePreference::Light),
-            ("system's", egui::ThemePreference::System),
+            ("Dark", egui::ThemePreference::Dark),
+            ("Light", egui::ThemePreference::Light),
+            ("System", egui::ThemePreference::System),
         ] {
             if ui.selectable_value(&mut theme, wanted, name).clicked() {
                 ui.ctx().set_theme(wanted);
             }
         }
     });
-    let reset = ui.button("reset choices");
-    let reset = reset.on_hover_text("panel, theme, background, axes and light as at the first start");
+    let reset = ui.button("Reset settings");
+    let reset = reset.on_hover_text("theme, background, axes, box, legend and light");
     *settings.resets_choices |= reset.clicked();
 }
 

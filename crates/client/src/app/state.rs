@@ -118,6 +118,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let view = SavedView {
             shows_box: Some(self.aids.shows_box),
             shows_axes: Some(self.aids.shows_axes),
+            shows_legend: Some(self.aids.shows_legend),
             shows_numbers: Some(self.shows_numbers),
             background: Some(Srgb(self.aids.background)),
             theme: THEMES
@@ -161,16 +162,19 @@ impl<S: FrameSource> ViewerApp<S> {
         let set = |to: &mut bool, from: Option<bool>| *to = from.unwrap_or(*to);
         set(&mut self.aids.shows_box, view.shows_box);
         set(&mut self.aids.shows_axes, view.shows_axes);
+        set(&mut self.aids.shows_legend, view.shows_legend);
         set(&mut self.shows_numbers, view.shows_numbers);
         set(&mut self.is_orthographic, view.orthographic);
         if let Some(axis) = view.up {
             self.set_up_axis(axis);
         }
-        if let Some(views) = &state.views {
-            self.named_views.clone_from(views);
+        // A state of the whole view leaves no list of the one before.
+        let is_whole = state.camera.is_some() && state.look.is_some();
+        if state.views.is_some() || is_whole {
+            self.named_views = state.views.clone().unwrap_or_default();
         }
-        if let Some(measures) = &state.measures {
-            self.measures.set(measures.clone());
+        if state.measures.is_some() || is_whole {
+            self.measures.set(state.measures.clone().unwrap_or_default());
         }
         self.aids.background = view.background.map_or(self.aids.background, |Srgb(rgb)| rgb);
         if let Some(theme) = view.theme {
@@ -214,7 +218,9 @@ impl<S: FrameSource> ViewerApp<S> {
                 // What the bars take and the number of pixels a point were not known when the window opened.
                 let [width, height] = camera.size.map(|side| side as f32 / ctx.pixels_per_point());
                 let bars = ctx.content_rect().size() - self.room.size();
-                ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(egui::vec2(width, height) + bars));
+                let size = egui::vec2(width, height) + bars;
+                self.keeper.await_size(now, [size.x.round() as u32, size.y.round() as u32]);
+                ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(size));
             }
             self.turn_to_state(ReadState { state, note: None });
         }
@@ -265,7 +271,9 @@ impl<S: FrameSource> ViewerApp<S> {
         let link = text.trim().parse::<Link>();
         let is_present = |link: &Link| {
             let present = self.options.link.as_ref().map(|present| present.fingerprint);
-            present == Some(link.fingerprint) && self.viewing.source().state() == State::Connected
+            let source = self.viewing.source();
+            let answers = source.state() == State::Connected && !source.is_silent();
+            present == Some(link.fingerprint) && answers
         };
         if let Some(link) = link.as_ref().ok().filter(|link| self.opens_volumes && !is_present(link)) {
             let state = self.saved_state(ctx, window).map(|state| ReadState { state, note: None });

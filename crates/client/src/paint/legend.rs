@@ -34,7 +34,8 @@ impl Legend<'_> {
             let top = bar.bottom() - bar.height() * (row + 1) as f32 / rows as f32;
             let bottom = top + bar.height() / rows as f32;
             let part = Rect::from_x_y_ranges(bar.x_range(), top..=bottom);
-            colors.add_colored_rect(part, self.color_at((row as f32 + 0.5) / rows as f32));
+            let [r, g, b] = color_at(self.transfer, self.mode, (row as f32 + 0.5) / rows as f32);
+            colors.add_colored_rect(part, egui::Color32::from_rgb(r, g, b));
         }
         pen.painter.add(colors);
         pen.painter.rect_stroke(bar, 0.0, Stroke::new(1.0, pen.ink), StrokeKind::Outside);
@@ -51,22 +52,21 @@ impl Legend<'_> {
         }
     }
 
-    /// The colour of a position as the mode shows it.
-    fn color_at(&self, x: f32) -> egui::Color32 {
-        let linear = match self.mode.is_projection() {
-            true => self.transfer.shown(x),
-            false => self.transfer.at(x).0,
-        };
-        let [r, g, b] = linear.map(|c| (srgb_from_linear(c) * 255.0).round() as u8);
-        egui::Color32::from_rgb(r, g, b)
-    }
-
     /// The same in words, for screen readers.
     pub(crate) fn in_words(&self) -> String {
         let [lo, hi] = [self.domain.0, self.domain.1].map(self.format);
         let unit = self.unit.map_or_else(String::new, |unit| format!(" {unit}"));
         format!("legend: colours of the values from {lo} to {hi}{unit}")
     }
+}
+
+/// The colour of a position as the mode shows it, sRGB.
+pub(crate) fn color_at(transfer: &TransferFunction, mode: Mode, x: f32) -> [u8; 3] {
+    let linear = match mode.is_projection() {
+        true => transfer.shown(x),
+        false => transfer.at(x).0,
+    };
+    linear.map(|c| (srgb_from_linear(c) * 255.0).round() as u8)
 }
 
 const WIDTH: f32 = 14.0;
@@ -103,7 +103,7 @@ mod tests {
             mode,
             format: &format,
         };
-        let red = |mode, x| of(mode).color_at(x).r();
+        let red = |mode, x| color_at(&transfer, mode, x)[0];
         assert_eq!([red(Mode::Composite, 0.5), red(Mode::Mip, 1.0)], [255; 2]);
         assert!(red(Mode::Mip, 0.5).abs_diff(128) <= 1, "a projection is dim where matter is thin");
         assert_eq!(of(Mode::Mip).in_words(), "legend: colours of the values from -100 to 300 HU");

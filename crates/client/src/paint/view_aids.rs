@@ -160,7 +160,7 @@ impl Pen<'_> {
         self.text(left + vec2(0.0, -8.0), Align2::LEFT_BOTTOM, &text, 13.0, self.ink);
         let is_parallel = intrinsics.projection.is_orthographic();
         let note =
-            if is_parallel { "at any depth; orthographic" } else { "at the centre of rotation; perspective" };
+            if is_parallel { "at any depth; parallel" } else { "at the centre of rotation; perspective" };
         self.text(left + vec2(0.0, 7.0), Align2::LEFT_TOP, note, 10.0, self.ink.gamma_multiply(0.7));
     }
 

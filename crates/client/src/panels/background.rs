@@ -4,7 +4,8 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
+use std::time::Duration;
 
 use isinglass_formats::write_whole;
 
@@ -47,10 +48,19 @@ impl<T: Send + 'static> Background<T> {
         let outcome = match self.0.as_ref()?.try_recv() {
             Ok(outcome) => outcome,
             Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Err("a defect of the program ended this early".into()),
+            Err(TryRecvError::Disconnected) => Err(DEFECT.into()),
         };
         self.0 = None;
         Some(outcome)
+    }
+
+    /// The same, but waits. Only a window that has closed may call it.
+    pub(crate) fn finish(&mut self) -> Option<Result<T, String>> {
+        Some(match self.0.take()?.recv_timeout(EXIT_PATIENCE) {
+            Ok(outcome) => outcome,
+            Err(RecvTimeoutError::Timeout) => Err("the disk does not answer".into()),
+            Err(RecvTimeoutError::Disconnected) => Err(DEFECT.into()),
+        })
     }
 }
 
@@ -94,6 +104,16 @@ pub(crate) fn write_numbered(text: &str, stem: &str, ending: &str) -> Result<Wri
     Err(format!("{stem}{ending}: there are {MAX_NUMBER} such files; name another"))
 }
 
+/// Makes the folder of a file, and writes the whole file or nothing.
+///
+/// # Errors
+/// One line with the path.
+pub(crate) fn write_with_folder(path: &Path, bytes: &[u8]) -> Result<(), String> {
+    let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
+    folder.map_err(|e| format!("{}: {e}", path.display()))?;
+    write_whole(path, bytes).map_err(|e| e.to_string())
+}
+
 /// Creates a file with these bytes.
 ///
 /// # Errors
@@ -112,6 +132,9 @@ pub(crate) fn path_from_text(text: &str) -> Option<PathBuf> {
     }
 }
 
+/// A window that has closed waits this long for a disk.
+const EXIT_PATIENCE: Duration = Duration::from_secs(5);
+const DEFECT: &str = "a defect of the program ended this early";
 /// Numbered files of one name, at most.
 const MAX_NUMBER: u32 = 999;
 
@@ -131,5 +154,11 @@ mod tests {
         let mut work = Background::run(&wake, || Ok(7));
         woken.recv().unwrap();
         assert_eq!((work.take(), work.take()), (Some(Ok(7)), None));
+        let quiet: Waker = Arc::new(|| {});
+        let mut slow = Background::run(&quiet, || {
+            std::thread::sleep(Duration::from_millis(50));
+            Ok(8)
+        });
+        assert_eq!((slow.take(), slow.finish(), slow.finish()), (None, Some(Ok(8)), None));
     }
 }

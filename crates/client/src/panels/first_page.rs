@@ -31,7 +31,7 @@ pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help:
     };
     text(10.0, &line, 15.0, bright);
     if let Some(problem) = problem {
-        text(38.0, &sentence(problem), 13.0, style::warning(ui));
+        text(38.0, &sentence(problem), 13.0, style::amber(ui.ctx()));
     }
     if !help.is_empty() {
         text(96.0, &format!("{help} shows the keys"), 12.0, quiet);

@@ -2,6 +2,8 @@
 //!
 //! One picture is requested at a time, while the panel is open and no other picture is in progress.
 
+use std::time::Duration;
+
 use egui::{ColorImage, Context, Sense, TextureHandle, TextureOptions, Ui, vec2};
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::ScreenshotId;
@@ -27,6 +29,8 @@ pub(crate) enum GalleryEntry {
 pub(crate) struct Gallery {
     /// The volume of the pictures, and the look that they vary.
     shown: Option<(VolumeDescription, Look)>,
+    /// Since when the volume is shown.
+    since: Duration,
     /// A picture, or none where the server made none.
     pictures: Vec<(GalleryEntry, Option<TextureHandle>)>,
     requested: Option<(ScreenshotId, GalleryEntry)>,
@@ -38,6 +42,7 @@ impl Gallery {
     pub(crate) fn poll(
         &mut self,
         ctx: &Context,
+        now: Duration,
         source: &impl FrameSource,
         scale: &ValueScale,
         (pose, fov_y): (Pose, f32),
@@ -64,6 +69,11 @@ impl Gallery {
         }
         let missing = entries(volume).into_iter().find(|entry| self.picture(*entry).is_none());
         if let Some(entry) = missing {
+            // The next volume of a series may follow at once.
+            if now < self.since + STAY {
+                ctx.request_repaint_after(self.since + STAY - now);
+                return;
+            }
             // Nearer than the window, because so little is seen in a small picture.
             let square = Intrinsics::perspective(SIDE_PIXELS, SIDE_PIXELS, 0.7 * fov_y);
             let id = talk.screenshot.request(pose, square, [0; 3], Some(entry.look(look, scale)));
@@ -72,18 +82,25 @@ impl Gallery {
     }
 
     /// Drops what shows another volume or look. A preset replaces the transfer function, so its picture outlives a
-    /// change of that.
-    pub(crate) fn follow(&mut self, volume: &VolumeDescription, look: &Look) {
-        let is_same = |a: &Look, b: &Look| (a.shaded, a.clip, a.isos) == (b.shaded, b.clip, b.isos);
-        match &mut self.shown {
-            Some((of, shown)) if of == volume && is_same(shown, look) => {
-                if shown.transfer != look.transfer {
-                    self.pictures.retain(|(entry, _)| matches!(entry, GalleryEntry::Preset(_)));
-                    (shown.transfer, self.requested) = (look.transfer.clone(), None);
-                }
-            }
-            _ => *self = Self { shown: Some((volume.clone(), look.clone())), ..Self::default() },
+    /// change of that. Surfaces are in the picture of their mode alone.
+    pub(crate) fn follow(&mut self, now: Duration, volume: &VolumeDescription, look: &Look) {
+        let Some((_, shown)) = self.shown.as_mut().filter(|(of, _)| of == volume) else {
+            *self = Self { shown: Some((volume.clone(), look.clone())), since: now, ..Self::default() };
+            return;
+        };
+        let is_lit_alike = (shown.shaded, shown.clip) == (look.shaded, look.clip);
+        let (has_transfer, has_isos) = (shown.transfer == look.transfer, shown.isos == look.isos);
+        if is_lit_alike && has_transfer && has_isos {
+            return;
         }
+        let stays = |entry: GalleryEntry| match entry {
+            GalleryEntry::Preset(_) => is_lit_alike,
+            GalleryEntry::Mode(Mode::Iso) => is_lit_alike && has_transfer && has_isos,
+            GalleryEntry::Mode(_) => is_lit_alike && has_transfer,
+        };
+        self.pictures.retain(|(entry, _)| stays(*entry));
+        self.requested = self.requested.filter(|(_, entry)| stays(*entry));
+        shown.clone_from(look);
     }
 
     /// Has pictures made anew that the server could not make.
@@ -100,8 +117,14 @@ impl Gallery {
         matches!(self.picture(entry), Some(Some(_)))
     }
 
-    /// Shows the pictures with their names. Returns the one that the person chose.
-    pub(crate) fn show(&self, ui: &mut Ui, look: &Look, volume: &VolumeDescription) -> Option<GalleryEntry> {
+    /// Shows the pictures with their names. An edited preset is not the preset. Returns the one that the person chose.
+    pub(crate) fn show(
+        &self,
+        ui: &mut Ui,
+        look: &Look,
+        is_edited: bool,
+        volume: &VolumeDescription,
+    ) -> Option<GalleryEntry> {
         let mut chosen = None;
         let (presets, modes): (Vec<_>, Vec<_>) =
             entries(volume).into_iter().partition(|entry| matches!(entry, GalleryEntry::Preset(_)));
@@ -109,7 +132,7 @@ impl Gallery {
             ui.horizontal_wrapped(|ui| {
                 ui.spacing_mut().item_spacing = vec2(GAP, 6.0);
                 for entry in row {
-                    if self.cell(ui, entry, per_row, entry.is_in(look)) {
+                    if self.cell(ui, entry, per_row, entry.is_in(look, is_edited)) {
                         chosen = Some(entry);
                     }
                 }
@@ -173,9 +196,9 @@ impl GalleryEntry {
         }
     }
 
-    fn is_in(self, look: &Look) -> bool {
+    fn is_in(self, look: &Look, is_edited: bool) -> bool {
         match self {
-            Self::Preset(name) => look.transfer.name == name,
+            Self::Preset(name) => look.transfer.name == name && !is_edited,
             Self::Mode(mode) => look.mode == mode,
         }
     }
@@ -202,6 +225,8 @@ fn entries(volume: &VolumeDescription) -> Vec<GalleryEntry> {
     presets.chain(Mode::ALL.into_iter().map(GalleryEntry::Mode)).collect()
 }
 
+/// A volume is shown for this long before it has pictures.
+const STAY: Duration = Duration::from_secs(1);
 /// Between pictures, points.
 const GAP: f32 = 8.0;
 /// Size of a picture, pixels.

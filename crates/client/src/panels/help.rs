@@ -33,7 +33,7 @@ pub(crate) fn show(ctx: &egui::Context, bindings: &Bindings, open: &mut bool, se
             ui.add_space(4.0);
             let tasks = matching(bindings.tasks(), search);
             if tasks.is_empty() {
-                let text = format!("Nothing here says \"{}\".", search.trim());
+                let text = format!("No match for \"{}\".", search.trim());
                 ui.add(egui::Label::new(RichText::new(text).color(quiet(ctx))).wrap());
             }
             let column = width / num_columns as f32 - GAPS.x;

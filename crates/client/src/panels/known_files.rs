@@ -1,8 +1,9 @@
 //! What a file is for this window, judged by what it holds. All of this may wait for a disk.
 
+use std::io::Read;
 use std::path::Path;
 
-use isinglass_formats::{Content, content_of, import_transfers};
+use isinglass_formats::{Content, MAX_STATE_BYTES, content_of, import_transfers, is_state};
 
 use super::text::format_bytes;
 
@@ -23,6 +24,7 @@ impl KnownFile {
         match content_of(path) {
             Ok(Content::Volume(_) | Content::Folder) => Self::Volume,
             Ok(Content::State) => Self::State,
+            Ok(Content::Text) if is_state(&begin_of(path)) => Self::State,
             Ok(Content::Text) if is_named_as_transfer(path) || import_transfers(path).is_ok() => {
                 Self::Transfer
             }
@@ -47,13 +49,20 @@ pub(crate) fn announce(path: &Path) -> (String, bool) {
     }
 }
 
+/// One byte more than a state may have, or nothing if the file cannot be read.
+fn begin_of(path: &Path) -> Vec<u8> {
+    let mut begin = Vec::new();
+    let read = std::fs::File::open(path).map(|file| file.take(MAX_STATE_BYTES + 1).read_to_end(&mut begin));
+    if matches!(read, Ok(Ok(_))) { begin } else { Vec::new() }
+}
+
 fn is_named_as_transfer(path: &Path) -> bool {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
     ["toml", "json", "xml"].contains(&extension.as_str())
 }
 
 fn not_opened(path: &Path, found: &str) -> String {
-    format!("{}: {found}, which does not open here. {WHAT_OPENS}", name_of(path))
+    format!("{} is not supported: {found}. {WHAT_OPENS}", name_of(path))
 }
 
 fn name_of(path: &Path) -> String {
@@ -79,13 +88,18 @@ mod tests {
         };
         for bytes in [&b"some text\n"[..], &[0xff; 40], &[]] {
             let (text, opens) = told("thing.xyz", bytes);
-            assert!(text.starts_with("thing.xyz: ") && text.contains("opens volumes (NRRD, "), "{text}");
+            assert!(
+                text.starts_with("thing.xyz is not supported: ") && text.contains("opens volumes (NRRD, "),
+                "{text}"
+            );
             assert!(!opens && !text.contains("TOML") && !text.contains('\n'), "{text}");
         }
         let header = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n\n12345678";
         let bytes = header.len();
         assert_eq!(told("a.xyz", header.as_bytes()), (format!("Open a.xyz, {bytes} bytes"), true));
         assert!(told("seen.toml", b"isinglass_state = 1\n").0.starts_with("Show what seen.toml"));
+        let late = format!("# {}\nisinglass_state = 1\n", "a comment ".repeat(20_000));
+        assert!(told("late.toml", late.as_bytes()).0.starts_with("Show what late.toml"));
         // What is named as such and is broken gets its own message where it is read.
         assert!(told("broken.toml", b"name = ").1);
         assert!(!announce(&folder.path().join("nowhere.nrrd")).1);

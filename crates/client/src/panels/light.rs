@@ -15,7 +15,7 @@ pub(crate) fn show(ui: &mut Ui, look: &mut Look, world_from_view: Quat) {
     let Look { shaded, lighting, .. } = look;
     ui.vertical(|ui| {
         row(ui, "shading", "shows surfaces by how they face the light", |ui| ui.checkbox(shaded, ""));
-        row(ui, "ambient occlusion", "how much darker matter is that sees little of the sky", |ui| {
+        row(ui, "ambient occlusion", "Darkens crevices", |ui| {
             percent(ui, &mut lighting.ambient_occlusion, 0.0..=100.0)
         });
         let hint = "how far matter takes the sky from other matter, in radii of the volume";

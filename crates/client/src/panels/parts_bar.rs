@@ -8,7 +8,7 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
 
 use super::part_pickers::{label, list, numbered, time_field};
-use super::style::{named, pane_at, warning};
+use super::style::{amber, named, pane_at};
 use super::text::format_bytes;
 use crate::input::bindings::{Action, Bindings};
 
@@ -157,7 +157,7 @@ impl PartsBar {
                 row.inner
             }
             LoadState::Failed(problem) if self.failed.is_some_and(|(_, since)| !since.is_zero()) => {
-                let color = warning(ui);
+                let color = amber(ui.ctx());
                 ui.add(egui::Label::new(RichText::new(problem).size(12.0).color(color)).wrap());
                 false
             }

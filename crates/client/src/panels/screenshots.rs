@@ -81,11 +81,10 @@ enum PictureStage {
     Writing(Background<Stored>),
 }
 
-/// What has become of a picture: its file, or the movie that it is in.
+/// What has become of a picture: its file, or the movie that it is in, and where that will be.
 enum Stored {
     File(PathBuf),
-    InMovie(MovieWriter),
-    MovieFile(PathBuf),
+    InMovie(MovieWriter, PathBuf),
 }
 
 impl Default for Screenshots {
@@ -187,10 +186,11 @@ impl Screenshots {
             PictureStage::Writing(writing) => match writing.take()? {
                 Ok(stored) => {
                     let file = match stored {
-                        Stored::File(file) | Stored::MovieFile(file) => file,
-                        Stored::InMovie(movie) => {
+                        Stored::File(file) => file,
+                        Stored::InMovie(movie, file) => {
                             series.writer = Some(movie);
-                            series.path.clone()
+                            series.path.clone_from(&file);
+                            file
                         }
                     };
                     series.done += 1;
@@ -277,7 +277,7 @@ impl Screenshots {
                         let value = whole(ui, side, 1..=MAX_SIDE).suffix(" px");
                         ui.add(value).labelled_by(label.id).on_hover_text(name);
                     }
-                    if ui.button("as the window").clicked() {
+                    if ui.button("Match window").clicked() {
                         size = of_window;
                     }
                 });
@@ -289,7 +289,7 @@ impl Screenshots {
                 ui.add(number).labelled_by(label.id).on_hover_text(hint);
                 ui.end_row();
                 if self.num_pictures > 1 {
-                    ui.label("turntable as");
+                    ui.label("Format");
                     ui.horizontal(|ui| {
                         for (form, name, hint) in FORMS {
                             let choice = ui.selectable_label(self.movie == form, name);
@@ -304,7 +304,7 @@ impl Screenshots {
                     ui.label(format!("{seconds:.1} s at {PICTURES_PER_SECOND} pictures a second"));
                     ui.end_row();
                 }
-                ui.label("drawn in");
+                ui.label("Overlays");
                 ui.horizontal(|ui| {
                     ui.checkbox(&mut self.has_scale, "scale bar");
                     ui.checkbox(&mut self.has_legend, "colour legend");
@@ -347,7 +347,9 @@ impl Series {
         // A picture that is being written will be there.
         let done = self.done + u32::from(matches!(self.stage, PictureStage::Writing(_)));
         match (done, self.total) {
-            _ if self.movie.is_some() => "No movie was made".to_owned(),
+            // The last picture completes a movie.
+            _ if self.movie.is_some() && done < self.total => "No movie was made".to_owned(),
+            _ if self.movie.is_some() => format!("Saved {}", self.path.display()),
             (0, _) => "No picture was made".to_owned(),
             (_, 1) => format!("Saved {}", self.path.display()),
             (_, total) => format!("Stopped after {done} of {total} pictures, in {}", self.path.display()),
@@ -372,7 +374,7 @@ impl Series {
 
     /// What stores the next picture, with its marks, in a file or in the movie.
     fn storing(&mut self) -> impl FnOnce(&[u8]) -> Result<Stored, String> + Send + 'static {
-        let (path, marks, movie) = (self.file(), self.marks.clone(), self.movie);
+        let (mut path, marks, movie) = (self.file(), self.marks.clone(), self.movie);
         let (writer, total, is_last) = (self.writer.take(), self.total, self.done + 1 == self.total);
         move |png: &[u8]| {
             let drawn = marks.map(|marks| marks.draw(png, MAX_SCREENSHOT_PIXELS as u64)).transpose()?;
@@ -389,6 +391,7 @@ impl Series {
                         let made = std::fs::create_dir_all(folder);
                         made.map_err(|e| format!("{}: {e}", folder.display()))?;
                     }
+                    path = files::free(path);
                     let size = [picture.width, picture.height];
                     MovieWriter::create(&path, form, size, total).map_err(|e| e.to_string())?
                 }
@@ -396,9 +399,9 @@ impl Series {
             writer.add(&picture).map_err(|e| e.to_string())?;
             if is_last {
                 writer.finish(false).map_err(|e| e.to_string())?;
-                return Ok(Stored::MovieFile(path));
+                return Ok(Stored::File(path));
             }
-            Ok(Stored::InMovie(writer))
+            Ok(Stored::InMovie(writer, path))
         }
     }
 
@@ -442,3 +445,27 @@ const FORMS: [(Option<MovieForm>, &str, &str); 3] = [
 ];
 /// A minute at 60 pictures a second.
 const MAX_PICTURES: u32 = 3600;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_movie_that_gets_its_last_picture_is_saved() {
+        let series = |done, stage| Series {
+            subject: marks::tests::subject(8, 8),
+            total: 4,
+            done,
+            path: "a.gif".into(),
+            is_transparent: false,
+            marks: None,
+            movie: Some(MovieForm::Gif),
+            writer: None,
+            stage,
+        };
+        let writing = || PictureStage::Writing(Background::default());
+        assert_eq!(series(3, writing()).stopped(), "Saved a.gif");
+        assert_eq!(series(3, PictureStage::Due).stopped(), "No movie was made");
+        assert_eq!(series(2, writing()).stopped(), "No movie was made");
+    }
+}

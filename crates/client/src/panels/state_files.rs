@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use egui::{RichText, Ui};
-use isinglass_formats::{MAX_STATE_BYTES, ReadState, SavedState, SavedVolume, is_state, read_state};
+use isinglass_formats::{ReadState, SavedState, SavedVolume, read_state};
 
 use super::background::write_numbered;
 use super::file_field::{FileField, FileOutcome};
@@ -39,12 +39,9 @@ impl StateFiles {
     pub(crate) fn open_any(&mut self, path: PathBuf, wake: &Waker) {
         self.0.read(wake, move || match KnownFile::at(&path) {
             KnownFile::State => read(&path),
-            KnownFile::Transfer => match begin_of(&path) {
-                Ok(begin) if is_state(&begin) => read(&path),
-                _ => Ok(FileContent::Other(path)),
-            },
+            KnownFile::Transfer => Ok(FileContent::Other(path)),
             KnownFile::Volume => Err(format!(
-                "{}: a volume, which does not open beside this one; 'isinglass view' opens it",
+                "{}: a volume cannot be opened beside this one; 'isinglass view' opens it",
                 path.display()
             )),
             KnownFile::Unknown(problem) => Err(problem),
@@ -106,14 +103,4 @@ fn read(path: &Path) -> Result<FileContent, String> {
     let place = |v: SavedVolume| if v.is_here() { v } else { v.without_place() };
     let volume = state.volume.map(place);
     Ok(FileContent::State(Box::new(ReadState { state: SavedState { volume, ..state }, note })))
-}
-
-fn begin_of(path: &Path) -> std::io::Result<Vec<u8>> {
-    use std::io::Read;
-    if !path.is_file() {
-        return Ok(Vec::new());
-    }
-    let mut begin = Vec::new();
-    std::fs::File::open(path)?.take(MAX_STATE_BYTES + 1).read_to_end(&mut begin)?;
-    Ok(begin)
 }

@@ -202,7 +202,7 @@ fn color(ui: &Ui, standing: Standing) -> Color32 {
     match standing {
         Standing::Exact | Standing::Settled => style::done(ui.ctx()),
         Standing::Moving | Standing::Refining => style::accent(ui.ctx()),
-        Standing::Offline => style::warning(ui),
+        Standing::Offline => style::amber(ui.ctx()),
         Standing::Waiting => quiet(ui.ctx()),
     }
 }

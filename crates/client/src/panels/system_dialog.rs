@@ -1,6 +1,7 @@
 //! The system's own dialog for files, where there is one. A thread waits for it.
 
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
 
 use super::background::Background;
 use crate::view::Waker;
@@ -11,12 +12,20 @@ pub(crate) struct SystemDialog {
     picking: Background<Picked>,
 }
 
+type PickedHandle = Pin<Box<dyn Future<Output = Option<rfd::FileHandle>> + Send>>;
+
 pub(crate) enum Picked {
-    File(PathBuf),
+    Path(PathBuf),
     /// The person closed the dialog.
     Nothing,
     /// The system has no such dialog.
     NoDialog,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Wanted {
+    File,
+    Folder,
 }
 
 impl SystemDialog {
@@ -25,21 +34,29 @@ impl SystemDialog {
         Self { is_wanted, picking: Background::default() }
     }
 
+    /// Whether there may be such a dialog.
+    pub(crate) fn is_wanted(&self) -> bool {
+        self.is_wanted
+    }
+
     /// Opens the dialog in `folder`. Returns false if it is known that none opens: another has to be shown.
-    pub(crate) fn open(&mut self, wake: &Waker, folder: &Path) -> bool {
+    pub(crate) fn open(&mut self, wanted: Wanted, wake: &Waker, folder: &Path) -> bool {
         // A second wish means that the first dialog is not seen.
         if !self.is_wanted || self.picking.is_busy() {
             return false;
         }
-        let dialog = rfd::AsyncFileDialog::new().set_title("Open a file").set_directory(folder);
+        let dialog = |title| rfd::AsyncFileDialog::new().set_title(title).set_directory(folder);
         // On some systems the dialog has to begin on the thread of the window.
-        let picked = dialog.pick_file();
+        let picked: PickedHandle = match wanted {
+            Wanted::File => Box::pin(dialog("Open a file").pick_file()),
+            Wanted::Folder => Box::pin(dialog("Open a folder").pick_folder()),
+        };
         self.picking = Background::run(wake, move || {
             if !has_dialog() {
                 return Ok(Picked::NoDialog);
             }
             let file = pollster::block_on(picked);
-            Ok(file.map_or(Picked::Nothing, |file| Picked::File(file.path().to_owned())))
+            Ok(file.map_or(Picked::Nothing, |file| Picked::Path(file.path().to_owned())))
         });
         true
     }

@@ -89,11 +89,11 @@ impl Toolbar<'_> {
     /// The menu behind the right mouse button in the picture.
     pub(crate) fn show_menu(&self, ui: &mut Ui) -> Option<ToolbarWish> {
         let mut wish = None;
-        let projection = if self.is_orthographic { "Perspective" } else { "Parallel rays" };
+        let projection = if self.is_orthographic { "Perspective" } else { "Parallel" };
         for (name, action) in [
             ("First view", Action::FirstView),
             ("Fit the volume", Action::Fit),
-            ("The view before", Action::PreviousView),
+            ("Previous view", Action::PreviousView),
             (projection, Action::Projection),
         ] {
             self.item(ui, name, action, &mut wish);

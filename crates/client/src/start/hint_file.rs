@@ -3,9 +3,7 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use isinglass_formats::write_whole;
-
-use crate::panels::background::Background;
+use crate::panels::background::{Background, write_with_folder};
 use crate::panels::hints::{Hint, Hints};
 use crate::view::waker_of;
 
@@ -41,24 +39,28 @@ impl HintFile {
     /// Stores which hints are left, if that has changed.
     pub(super) fn follow(&mut self, ctx: &egui::Context, hints: &Hints) {
         let is_writing = self.writing.is_busy() && self.writing.take().is_none();
-        if !is_writing
-            && self.num_starts <= STARTS_WITH_HINTS
-            && self.stored.as_ref().is_some_and(|s| s != hints)
-        {
+        if !is_writing && self.is_news(hints) {
             self.stored = Some(hints.clone());
             self.write(ctx, hints);
         }
     }
 
+    /// The same at once, for a window that has closed.
+    pub(super) fn finish(&mut self, hints: &Hints) {
+        self.writing.finish();
+        if let Some(path) = self.path.as_ref().filter(|_| self.is_news(hints)) {
+            let _ = write_with_folder(path, text_of(self.num_starts, hints).as_bytes());
+        }
+    }
+
+    fn is_news(&self, hints: &Hints) -> bool {
+        self.num_starts <= STARTS_WITH_HINTS && self.stored.as_ref().is_some_and(|s| s != hints)
+    }
+
     fn write(&mut self, ctx: &egui::Context, hints: &Hints) {
         let Some(path) = self.path.clone() else { return };
         let text = text_of(self.num_starts, hints);
-        self.writing = Background::run(&waker_of(ctx), move || {
-            if let Some(folder) = path.parent() {
-                std::fs::create_dir_all(folder).map_err(|e| e.to_string())?;
-            }
-            write_whole(&path, text.as_bytes()).map_err(|e| e.to_string())
-        });
+        self.writing = Background::run(&waker_of(ctx), move || write_with_folder(&path, text.as_bytes()));
     }
 }
 
@@ -126,6 +128,17 @@ mod tests {
         };
         let shown: Vec<_> = (0..5).map(|_| start().is_some()).collect();
         assert_eq!(shown, [true, true, true, false, false]);
+        // What is done last is kept at exit.
+        std::fs::remove_file(folder.path().join("hints.txt")).unwrap();
+        let mut file = HintFile::new(Some(&recent), &ctx);
+        let mut hints = None;
+        while hints.is_none() {
+            hints = file.take(&ctx);
+        }
+        let mut hints = hints.unwrap();
+        hints.note(Hint::Zoom);
+        file.finish(&hints);
+        assert_eq!(read(&folder.path().join("hints.txt")), (1, hints));
     }
 
     fn break_when_written(file: &mut HintFile) {

@@ -33,7 +33,7 @@ use crate::input::bindings::Action;
 use crate::panels::background::Background;
 use crate::panels::known_files::KnownFile;
 use crate::panels::style::{self, name_window, named, pane_at};
-use crate::panels::system_dialog::{Picked, SystemDialog};
+use crate::panels::system_dialog::{Picked, SystemDialog, Wanted};
 use crate::view::frame_source::FrameSource;
 use crate::view::{BoxedSource, Waker};
 
@@ -58,12 +58,13 @@ pub(crate) struct StartWindow {
     /// The server in this process whose volume is shown, and the size of that volume, bytes.
     server: Option<(Box<dyn Send>, u64)>,
     opening: Option<Opening>,
-    /// What the person did last, and what went wrong with it.
-    act: Act,
+    /// What went wrong, and with what the person did.
     problem: Option<(Act, String)>,
     drop_frame: DropFrame,
     system_dialog: SystemDialog,
     dropped: Background<Dropped>,
+    /// How the files came that are looked at.
+    dropped_by: Act,
     chosen: Background<Box<ReadState>>,
     /// Whether the list shows the folder of the recent list, or one that the person chose.
     has_folder: bool,
@@ -102,11 +103,11 @@ impl StartWindow {
             has_session: false,
             server: None,
             opening: None,
-            act: Act::Open,
             problem: None,
             drop_frame: DropFrame::default(),
             system_dialog,
             dropped: Background::default(),
+            dropped_by: Act::Drop,
             chosen: Background::default(),
             has_folder: false,
             clock,
@@ -120,7 +121,7 @@ impl StartWindow {
                 let origin = Origin { server_name: link.place(), link: Some(link), ..Origin::default() };
                 window.show_opened(Opened { source, origin, server: None, place, shows }, ctx);
             }
-            First::Volume(request) => window.open(request),
+            First::Volume(request) => window.open(Act::Open, request),
         }
         window
     }
@@ -142,6 +143,8 @@ impl StartWindow {
         self.take_picked(&ctx);
         self.take_chosen();
         self.go_on(&ctx);
+        self.forget_pictures();
+        self.pictures.go_on(&ctx);
         let held = self.held();
         let wish = if self.is_page_shown {
             self.app.warm_up();
@@ -152,7 +155,7 @@ impl StartWindow {
                 ctx.send_viewport_cmd(egui::ViewportCommand::Close);
             }
             if wished.contains(&Action::OpenFile) && self.opening.is_none() {
-                self.choose_file(&ctx);
+                self.choose(Wanted::File, &ctx);
             }
             self.pictures.poll(&ctx, self.recent.entries());
             let scene = PageScene {
@@ -162,6 +165,7 @@ impl StartWindow {
                 opening: self.opening.as_ref(),
                 problem: self.problem.as_ref().map(|(act, problem)| (*act, problem.as_str())),
                 has_session: self.has_session,
+                has_system_dialog: self.system_dialog.is_wanted(),
                 held,
             };
             self.page.show(ui, &scene)
@@ -169,10 +173,10 @@ impl StartWindow {
             self.app.show(ui);
             if let Some(wish) = self.app.take_wish() {
                 match wish {
-                    AppWish::StartPage => self.show_page(&ctx),
-                    AppWish::ChooseFile => self.choose_file(&ctx),
-                    AppWish::Volume(request) => self.open_by(Act::Open, request),
-                    AppWish::State(read) => self.open_state(Ok(read)),
+                    AppWish::StartPage => self.show_page(),
+                    AppWish::ChooseFile => self.choose(Wanted::File, &ctx),
+                    AppWish::Volume(request) => self.open(Act::Open, request),
+                    AppWish::State(read) => self.open_state(Act::Open, Ok(read)),
                     AppWish::Server(server) => self.connect(&server.0, server.1),
                 }
                 ctx.request_repaint();
@@ -194,56 +198,47 @@ impl StartWindow {
     fn fulfil(&mut self, wish: PageWish, ctx: &egui::Context) {
         match wish {
             PageWish::Connect(link) => self.connect(&link, None),
-            PageWish::ChooseFile => self.choose_file(ctx),
-            PageWish::Open(request) => self.open_by(Act::Open, request),
-            PageWish::OpenRecent(request) => self.open_by(Act::Recent, request),
+            PageWish::ChooseFile => self.choose(Wanted::File, ctx),
+            PageWish::ChooseFolder => self.choose(Wanted::Folder, ctx),
+            PageWish::Open(request) => self.open(Act::Open, request),
+            PageWish::OpenRecent(request) => self.open(Act::Recent, request),
             PageWish::OpenSample(sample) => {
                 let max_bytes = self.services.servers.max_bytes();
                 let source = format!("builtin:{}", sample.name());
-                self.open_by(Act::Sample, LoadRequest { max_bytes, ..LoadRequest::new(source) });
+                self.open(Act::Sample, LoadRequest { max_bytes, ..LoadRequest::new(source) });
             }
             PageWish::OpenState(path) => {
-                self.act = Act::Open;
                 self.chosen = Background::run(&self.wake, move || state_in(&path));
             }
             PageWish::Cancel => self.opening = None,
             PageWish::Back => self.is_page_shown = false,
-            PageWish::Close => self.close(ctx),
+            PageWish::Close => self.close(),
             PageWish::Forget(number) => self.recent.forget(number, ctx),
         }
     }
 
-    fn fail(&mut self, problem: String) {
-        self.problem = Some((self.act, problem));
-    }
-
-    fn open_by(&mut self, act: Act, request: LoadRequest) {
-        self.act = act;
-        self.open(request);
-    }
-
     /// Begins to connect, to show the volume as the link's own state says, or else `state`.
     fn connect(&mut self, link: &Link, state: Option<ReadState>) {
-        (self.act, self.problem) = (Act::Connect, None);
+        self.problem = None;
         let state = state.filter(|_| link.state.is_none());
-        match Opening::connect(link, &self.clock, &self.wake) {
+        match Opening::connect(Act::Connect, link, &self.clock, &self.wake) {
             Ok(opening) => {
                 self.opening = Some(state.into_iter().fold(opening, Opening::seen_as));
             }
-            Err(problem) => self.fail(problem),
+            Err(problem) => self.problem = Some((Act::Connect, problem)),
         }
     }
 
-    fn open(&mut self, request: LoadRequest) {
+    fn open(&mut self, act: Act, request: LoadRequest) {
         let held = self.held();
         let servers = self.services.servers.clone();
         self.problem = None;
-        self.opening = Some(Opening::local(request, held, servers, &self.clock, &self.wake));
+        self.opening = Some(Opening::local(act, request, held, servers, &self.clock, &self.wake));
     }
 
-    /// Asks for a file by the system's dialog, or by our own where there is none.
-    fn choose_file(&mut self, ctx: &egui::Context) {
-        if !self.system_dialog.open(&self.wake, self.page.browser.folder()) {
+    /// Asks for it by the system's dialog, or by our own where there is none.
+    fn choose(&mut self, wanted: Wanted, ctx: &egui::Context) {
+        if !self.system_dialog.open(wanted, &self.wake, self.page.browser.folder()) {
             self.browse(ctx);
         }
     }
@@ -258,7 +253,7 @@ impl StartWindow {
 
     fn take_picked(&mut self, ctx: &egui::Context) {
         match self.system_dialog.take() {
-            Some(Picked::File(path)) => {
+            Some(Picked::Path(path)) => {
                 if let Some(folder) = path.parent() {
                     self.has_folder = true;
                     self.page.browser.go_to(folder.to_owned(), None);
@@ -271,7 +266,7 @@ impl StartWindow {
     }
 
     /// Begins to open a state's volume, to show it as the state says.
-    fn open_state(&mut self, read: Result<Box<ReadState>, String>) {
+    fn open_state(&mut self, act: Act, read: Result<Box<ReadState>, String>) {
         self.problem = None;
         let opening = read.and_then(|read| {
             let volume = read.state.volume.clone().unwrap_or_default();
@@ -279,13 +274,13 @@ impl StartWindow {
             let opening = match (volume.link(), source) {
                 (Some(link), _) => {
                     let link = link.parse().map_err(|e| format!("The link of the state's volume: {e}"))?;
-                    Opening::connect(&link, &self.clock, &self.wake)?
+                    Opening::connect(act, &link, &self.clock, &self.wake)?
                 }
                 (None, Some(source)) => {
                     let held = self.held();
                     let servers = self.services.servers.clone();
                     let request = source.request(servers.max_bytes());
-                    Opening::local(request, held, servers, &self.clock, &self.wake)
+                    Opening::local(act, request, held, servers, &self.clock, &self.wake)
                 }
                 (None, None) => {
                     let place = match &volume.server {
@@ -302,25 +297,26 @@ impl StartWindow {
         });
         match opening {
             Ok(opening) => self.opening = Some(opening),
-            Err(problem) => self.fail(problem),
+            Err(problem) => self.problem = Some((act, problem)),
         }
     }
 
     fn take_chosen(&mut self) {
         if let Some(read) = self.chosen.take() {
-            self.open_state(read);
+            self.open_state(Act::Open, read);
         }
     }
 
     fn go_on(&mut self, ctx: &egui::Context) {
         let Some(opening) = &mut self.opening else { return };
+        let act = opening.act;
         if let Some(ended) = opening.poll() {
             self.opening = None;
             match ended {
                 Ok(opened) => self.show_opened(opened, ctx),
                 Err(problem) => {
                     tracing::warn!("{problem}");
-                    self.fail(problem);
+                    self.problem = Some((act, problem));
                 }
             }
         } else {
@@ -337,7 +333,7 @@ impl StartWindow {
 
     fn show_opened(&mut self, opened: Opened, ctx: &egui::Context) {
         let Opened { source, origin, server, place, shows } = opened;
-        self.keep_picture(ctx);
+        self.keep_picture();
         self.place = Some(place.clone());
         let is_volume = matches!(place, RecentPlace::Volume(_));
         let folder = (is_volume && self.has_folder).then(|| self.page.browser.folder().to_owned());
@@ -348,16 +344,16 @@ impl StartWindow {
         (self.has_session, self.is_page_shown, self.problem) = (true, false, None);
     }
 
-    fn close(&mut self, ctx: &egui::Context) {
-        self.keep_picture(ctx);
+    fn close(&mut self) {
+        self.keep_picture();
         self.place = None;
         later((self.app.turn_to(Box::<Nothing>::default(), Origin::default()), self.server.take()));
         (self.has_session, self.is_page_shown) = (false, true);
     }
 
-    fn show_page(&mut self, ctx: &egui::Context) {
+    fn show_page(&mut self) {
         self.is_page_shown = true;
-        self.keep_picture(ctx);
+        self.keep_picture();
         self.page.focus();
     }
 
@@ -367,10 +363,27 @@ impl StartWindow {
     }
 
     /// Keeps a picture of what is shown, for its card.
-    fn keep_picture(&mut self, ctx: &egui::Context) {
+    fn keep_picture(&mut self) {
         if let Some(keepsake) = self.keepsake() {
-            self.pictures.keep(ctx, keepsake, self.recent.entries());
+            self.pictures.keep(keepsake, self.recent.entries());
         }
+    }
+
+    /// Deletes the pictures of what the list has dropped.
+    fn forget_pictures(&mut self) {
+        for place in self.recent.take_dropped() {
+            self.pictures.forget(&place, self.recent.entries());
+        }
+    }
+
+    /// Keeps what is not on the disk yet. The window has closed, so it may wait.
+    fn finish(&mut self) {
+        self.app.finish_choices();
+        self.hints.finish(&self.app.hints);
+        self.recent.finish();
+        self.forget_pictures();
+        self.keep_picture();
+        self.pictures.finish();
     }
 
     fn take_dropped(&mut self, ctx: &egui::Context) {
@@ -378,15 +391,16 @@ impl StartWindow {
         if !files.is_empty() {
             self.look_at(Act::Drop, files.iter().map(|file| file.path().to_owned()).collect());
         }
+        let act = self.dropped_by;
         match self.dropped.take() {
             Some(Ok(Dropped::Volume(volume))) => {
                 let source = volume.to_string_lossy().into_owned();
                 let max_bytes = self.services.servers.max_bytes();
-                self.open(LoadRequest { max_bytes, ..LoadRequest::new(source) });
+                self.open(act, LoadRequest { max_bytes, ..LoadRequest::new(source) });
             }
-            Some(Ok(Dropped::State(read))) => self.open_state(Ok(read)),
+            Some(Ok(Dropped::State(read))) => self.open_state(act, Ok(read)),
             Some(Ok(Dropped::ForPicture(path))) => self.app.open_any(path, ctx),
-            Some(Err(problem)) => self.fail(problem),
+            Some(Err(problem)) => self.problem = Some((act, problem)),
             None => {}
         }
     }
@@ -394,7 +408,7 @@ impl StartWindow {
     /// Files are distinguished by their content. Volumes open here. States open here with their volumes while the page
     /// is shown. The viewer gets states and colours otherwise.
     fn look_at(&mut self, act: Act, paths: Vec<PathBuf>) {
-        (self.act, self.problem) = (act, None);
+        (self.dropped_by, self.problem) = (act, None);
         let is_page_shown = self.is_page_shown;
         self.dropped = Background::run(&self.wake, move || {
             let mut known: Vec<_> = paths.into_iter().map(|path| (KnownFile::at(&path), path)).collect();
@@ -457,9 +471,7 @@ impl eframe::App for StartWindow {
     }
 
     fn on_exit(&mut self) {
-        if let Some(keepsake) = self.keepsake() {
-            self.pictures.keep_now(keepsake, self.recent.entries());
-        }
+        self.finish();
     }
 }
 

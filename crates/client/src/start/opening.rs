@@ -9,6 +9,7 @@ use isinglass_formats::{
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, State};
 
+use super::page::Act;
 use crate::app::Origin;
 use crate::panels::background::Background;
 use crate::panels::text::sentence;
@@ -18,6 +19,8 @@ use crate::view::{BoxedSource, Waker};
 /// Something that is being opened. Dropping it cancels.
 pub(crate) struct Opening {
     pub(crate) name: String,
+    /// What the person did for it.
+    pub(crate) act: Act,
     place: RecentPlace,
     origin: Origin,
     clock: Clock,
@@ -51,7 +54,7 @@ pub(crate) struct Opened {
 }
 
 impl Opening {
-    pub(crate) fn connect(link: &Link, clock: &Clock, wake: &Waker) -> Result<Self, String> {
+    pub(crate) fn connect(act: Act, link: &Link, clock: &Clock, wake: &Waker) -> Result<Self, String> {
         let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
         let state = link.state.as_deref().map(state_from_link).transpose().map_err(|e| sentence(&e))?;
         let client = client(link, clock, wake)?;
@@ -60,6 +63,7 @@ impl Opening {
             Origin { server_name: name.clone(), link: Some(link.clone()), volume_source: None, state };
         Ok(Self {
             name,
+            act,
             place,
             origin,
             clock: clock.clone(),
@@ -72,6 +76,7 @@ impl Opening {
 
     /// Opens a volume beside one that takes `held` bytes.
     pub(crate) fn local(
+        act: Act,
         request: LoadRequest,
         held: u64,
         servers: Arc<dyn LocalServers>,
@@ -95,6 +100,7 @@ impl Opening {
         let surveying = Background::run(wake, move || survey(&of_thread, held, &*servers_of_thread));
         Self {
             name,
+            act,
             place,
             origin,
             clock: clock.clone(),

@@ -25,6 +25,7 @@ pub(crate) enum PageWish {
     OpenState(PathBuf),
     /// Open a file that the person has yet to choose.
     ChooseFile,
+    ChooseFolder,
     OpenSample(Builtin),
     OpenRecent(LoadRequest),
     Cancel,
@@ -33,7 +34,7 @@ pub(crate) enum PageWish {
     Forget(usize),
 }
 
-/// What the person did last. What goes wrong with it is said where it was done.
+/// What the person did. What goes wrong with it is said where it was done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Act {
     Open,
@@ -51,6 +52,8 @@ pub(crate) struct PageScene<'a> {
     pub(crate) problem: Option<(Act, &'a str)>,
     /// Whether a picture is shown behind the page.
     pub(crate) has_session: bool,
+    /// Whether files are chosen by the system's dialog, which opens either files or folders.
+    pub(crate) has_system_dialog: bool,
     /// Size of the volume that is shown in this process, bytes.
     pub(crate) held: u64,
 }
@@ -186,7 +189,7 @@ impl StartPage {
                 (Some(problem), _) => style::problem(ui, problem),
                 (None, Some(hint)) => small(ui, hint),
                 (None, None) => {
-                    small(ui, "Paste the link that 'isinglass serve' printed; it lets in one viewer.");
+                    small(ui, "Paste the link that 'isinglass serve' printed; it is valid for one viewer.");
                 }
             }
         });
@@ -254,7 +257,7 @@ fn header(ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
                 if ui.button("Back to the picture").on_hover_text("Esc").clicked() {
                     *wish = Some(PageWish::Back);
                 }
-                if ui.button("Close it").on_hover_text("ends what is shown, and frees its memory").clicked() {
+                if ui.button("Close it").on_hover_text("Closes the volume and frees its memory").clicked() {
                     *wish = Some(PageWish::Close);
                 }
             });
@@ -264,9 +267,12 @@ fn header(ui: &mut Ui, scene: &PageScene<'_>, wish: &mut Option<PageWish>) {
 
 fn open_choice(ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
     choice(ui, (Icon::FolderOpen, "Open a file"), height, |ui| {
-        ui.horizontal(|ui| {
+        ui.horizontal_wrapped(|ui| {
             if ui.button("Choose a file…").on_hover_text("Ctrl+O").clicked() {
                 *wish = Some(PageWish::ChooseFile);
+            }
+            if scene.has_system_dialog && ui.button("Choose a folder…").clicked() {
+                *wish = Some(PageWish::ChooseFolder);
             }
         });
         match problem_of(scene, Act::Open) {

@@ -1,16 +1,16 @@
 //! The last picture of what was opened, as small PNG files beside the recent list. Threads write and read them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use egui::{ColorImage, Context, TextureHandle, TextureOptions};
 use isinglass_core::picture::Picture;
-use isinglass_formats::{RecentEntry, RecentPlace, png, write_whole};
+use isinglass_formats::{RecentEntry, RecentPlace, png};
 use isinglass_net::{ReceivedFrame, place_of};
 
-use crate::panels::background::Background;
+use crate::panels::background::{Background, write_with_folder};
 use crate::view::waker_of;
 
 /// A picture that is to be kept.
@@ -27,30 +27,59 @@ pub(crate) struct Pictures {
     /// By the names of their files; none where there is no picture that can be read.
     textures: BTreeMap<String, Option<TextureHandle>>,
     reading: Background<Vec<(String, Option<ColorImage>)>>,
-    writing: Background<String>,
+    /// Files are changed one after the other.
+    writing: Background<()>,
+    due: VecDeque<Change>,
+}
+
+enum Change {
+    Keep(Keepsake),
+    /// Deletes the file of this name.
+    Forget(String),
 }
 
 impl Pictures {
     /// In a folder beside the file of the recent list.
     pub(crate) fn new(recent_file: Option<&Path>) -> Self {
         let folder = recent_file.and_then(Path::parent).map(|folder| folder.join("pictures"));
-        let (textures, reading, writing) = Default::default();
-        Self { folder, textures, reading, writing }
+        let (textures, reading, writing, due) = Default::default();
+        Self { folder, textures, reading, writing, due }
+    }
+
+    /// Begins the next change of a file. Never waits.
+    pub(crate) fn go_on(&mut self, ctx: &Context) {
+        if let Some(Err(problem)) = self.writing.take() {
+            tracing::debug!("{problem}");
+        }
+        if self.writing.is_busy() {
+            return;
+        }
+        if let (Some(folder), Some(change)) = (self.folder.clone(), self.due.pop_front()) {
+            self.writing = Background::run(&waker_of(ctx), move || change.apply(&folder));
+        }
+    }
+
+    /// Changes all files that are due, at once, for a window that has closed.
+    pub(crate) fn finish(&mut self) {
+        self.writing.finish();
+        let Some(folder) = &self.folder else { return };
+        for change in self.due.drain(..) {
+            if let Err(problem) = change.apply(folder) {
+                tracing::debug!("{problem}");
+            }
+        }
     }
 
     /// Takes what was read, and begins to read what the entries lack. Never waits.
     pub(crate) fn poll(&mut self, ctx: &Context, entries: &[RecentEntry]) {
         let Some(folder) = self.folder.clone() else { return };
-        if let Some(Ok(name)) = self.writing.take() {
-            self.textures.remove(&name);
-        }
         if let Some(Ok(found)) = self.reading.take() {
             for (name, image) in found {
                 let texture = image.map(|image| ctx.load_texture(&name, image, TextureOptions::LINEAR));
                 self.textures.insert(name, texture);
             }
         }
-        if self.reading.is_busy() || self.writing.is_busy() {
+        if self.reading.is_busy() || self.writing.is_busy() || !self.due.is_empty() {
             return;
         }
         let names: Vec<_> = entries.iter().map(|entry| name_of(&entry.place)).collect();
@@ -71,33 +100,49 @@ impl Pictures {
         self.textures.get(&name_of(place))?.as_ref()
     }
 
-    /// Keeps a picture on a thread, and drops those of other places than the entries'.
-    pub(crate) fn keep(&mut self, ctx: &Context, keepsake: Keepsake, entries: &[RecentEntry]) {
-        if let Some(work) = self.work(keepsake, entries) {
-            self.writing = Background::run(&waker_of(ctx), work);
+    /// Keeps a picture of a place that the list has.
+    pub(crate) fn keep(&mut self, keepsake: Keepsake, entries: &[RecentEntry]) {
+        let name = name_of(&keepsake.place);
+        if has_name(entries, &name) {
+            self.due.push_back(Change::Keep(keepsake));
+            self.drop_texture(&name);
         }
     }
 
-    /// The same at once, for a window that has closed.
-    pub(crate) fn keep_now(&self, keepsake: Keepsake, entries: &[RecentEntry]) {
-        if let Some(Err(problem)) = self.work(keepsake, entries).map(|work| work()) {
-            tracing::debug!("{problem}");
+    /// Deletes the picture of a place that the list has dropped.
+    pub(crate) fn forget(&mut self, place: &RecentPlace, entries: &[RecentEntry]) {
+        let name = name_of(place);
+        if !has_name(entries, &name) {
+            self.drop_texture(&name);
+            self.due.push_back(Change::Forget(name));
         }
     }
 
-    fn work(
-        &self,
-        keepsake: Keepsake,
-        entries: &[RecentEntry],
-    ) -> Option<impl FnOnce() -> Result<String, String> + Send + use<>> {
-        let folder = self.folder.clone()?;
-        let known: Vec<_> = entries.iter().map(|entry| name_of(&entry.place)).collect();
-        Some(move || {
-            let Keepsake { frame, background, place } = keepsake;
-            let (size, rgb) = small(&frame.frame.flatten(), background);
-            write(&folder, &name_of(&place), size, &rgb, &known)
-        })
+    fn drop_texture(&mut self, name: &str) {
+        self.textures.remove(name);
+        // It may be reading the former file.
+        self.reading = Background::default();
     }
+}
+
+impl Change {
+    fn apply(self, folder: &Path) -> Result<(), String> {
+        match self {
+            Self::Keep(Keepsake { frame, background, place }) => {
+                let (size, rgb) = small(&frame.frame.flatten(), background);
+                let png = png::encode(size[0], size[1], &rgb).map_err(|e| e.to_string())?;
+                write_with_folder(&folder.join(name_of(&place)), &png)
+            }
+            Self::Forget(name) => match std::fs::remove_file(folder.join(&name)) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(format!("{name}: {e}")),
+                _ => Ok(()),
+            },
+        }
+    }
+}
+
+fn has_name(entries: &[RecentEntry], name: &str) -> bool {
+    entries.iter().any(|entry| name_of(&entry.place) == name)
 }
 
 /// The name of a place's file: 16 digits of a hash, which tell nothing of the place.
@@ -134,21 +179,6 @@ fn small(picture: &Picture, background: [f32; 3]) -> ([u32; 2], Vec<u8>) {
     (size, mean.to_srgb8(background))
 }
 
-/// Writes a picture and removes those that are not known. Returns its name.
-fn write(folder: &Path, name: &str, size: [u32; 2], rgb: &[u8], known: &[String]) -> Result<String, String> {
-    let png = png::encode(size[0], size[1], rgb).map_err(|e| e.to_string())?;
-    std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
-    write_whole(&folder.join(name), &png).map_err(|e| e.to_string())?;
-    let is_ours = |file: &str| file.len() == 20 && file.ends_with(".png");
-    for entry in std::fs::read_dir(folder).map_err(|e| e.to_string())?.flatten().take(MOST_FILES) {
-        let file = entry.file_name().to_string_lossy().into_owned();
-        if is_ours(&file) && file != name && !known.contains(&file) {
-            let _ = std::fs::remove_file(entry.path());
-        }
-    }
-    Ok(name.to_owned())
-}
-
 /// The picture in a file. Files that are too large, or no such picture, are none.
 fn read(path: &Path) -> Option<ColorImage> {
     let file = std::fs::File::open(path).ok()?;
@@ -166,18 +196,10 @@ fn read(path: &Path) -> Option<ColorImage> {
 const MOST_SIDE: u32 = 256;
 /// A PNG file of that size takes less.
 const MOST_BYTES: u64 = 300_000;
-/// Files that are looked at when pictures are removed.
-const MOST_FILES: usize = 1000;
 
 #[cfg(test)]
 mod tests {
-    use isinglass_formats::VolumeSource;
-
     use super::*;
-
-    fn volume(source: &str) -> RecentPlace {
-        RecentPlace::Volume(VolumeSource::new(source))
-    }
 
     #[test]
     fn a_picture_is_small_and_keeps_its_colours() {
@@ -189,22 +211,6 @@ mod tests {
         // Half of linear red over half of blue.
         assert!(rgb.chunks(3).all(|pixel| pixel == [188, 0, 188]), "{:?}", &rgb[..3]);
         assert_eq!(small(&Picture::new(9, 7), [0.0; 3]).0, [9, 7], "a small one stays");
-    }
-
-    #[test]
-    fn pictures_are_read_back_and_others_than_the_lists_are_removed() {
-        let folder = tempfile::TempDir::new().unwrap();
-        let [a, b] = ["/a", "/b"].map(|source| name_of(&volume(source)));
-        assert!(a != b && a != name_of(&RecentPlace::Server { host: "/a".into(), port: 1 }));
-        let rgb = [9, 80, 200].repeat(12);
-        write(folder.path(), &a, [4, 3], &rgb, &[]).unwrap();
-        std::fs::write(folder.path().join("letter.txt"), "not ours").unwrap();
-        write(folder.path(), &b, [4, 3], &rgb, &[a.clone(), b.clone()]).unwrap();
-        let image = read(&folder.path().join(&a)).expect("the list has it");
-        assert_eq!((image.size, image.pixels[0]), ([4, 3], egui::Color32::from_rgb(9, 80, 200)));
-        write(folder.path(), &b, [4, 3], &rgb, std::slice::from_ref(&b)).unwrap();
-        assert!(read(&folder.path().join(&a)).is_none(), "the list has it no more");
-        assert!(read(&folder.path().join(&b)).is_some() && folder.path().join("letter.txt").exists());
     }
 
     #[test]

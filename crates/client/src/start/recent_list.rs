@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use isinglass_formats::{Recent, RecentEntry};
+use isinglass_formats::{Recent, RecentEntry, RecentPlace};
 
-use crate::panels::background::{Background, write_text};
+use crate::panels::background::{Background, write_with_folder};
 use crate::view::waker_of;
 
 /// Background threads read and write, so that the page need not wait for its list.
@@ -17,6 +17,8 @@ pub(crate) struct RecentList {
     /// The text to write when the disk is free again.
     waiting: Option<String>,
     problem: Option<String>,
+    /// What the list has dropped since it was last asked.
+    dropped: Vec<RecentPlace>,
 }
 
 impl RecentList {
@@ -26,7 +28,7 @@ impl RecentList {
             reading = Background::run(&waker_of(ctx), move || Recent::read(&file).map_err(|e| e.to_string()));
         }
         let (list, writing) = (Recent::default(), Background::default());
-        Self { file, list, reading, writing, waiting: None, problem: None }
+        Self { file, list, reading, writing, waiting: None, problem: None, dropped: Vec::new() }
     }
 
     /// Takes news of the file. Returns whether the list was read just now.
@@ -36,20 +38,41 @@ impl RecentList {
         }
         let read = self.reading.take();
         let is_read = read.is_some();
+        self.take_read(read);
+        self.write_on(ctx);
+        is_read
+    }
+
+    fn take_read(&mut self, read: Option<Result<Recent, String>>) {
         match read {
             Some(Ok(list)) => {
                 let early = std::mem::replace(&mut self.list, list);
                 // The waiting text holds only what was added before the list was read.
                 if self.waiting.take().is_some() {
-                    self.change(ctx, |list| list.note_all(early));
+                    self.change(|list| list.note_all(early));
                 }
             }
             // The list then holds only what is opened from now on.
             Some(Err(problem)) => self.problem = Some(problem),
             None => {}
         }
-        self.write_on(ctx);
-        is_read
+    }
+
+    /// Writes what waits, at once, for a window that has closed.
+    pub(crate) fn finish(&mut self) {
+        let read = self.reading.finish();
+        self.take_read(read);
+        self.writing.finish();
+        if let (Some(file), Some(text)) = (&self.file, self.waiting.take())
+            && let Err(problem) = write_with_folder(file, text.as_bytes())
+        {
+            tracing::warn!("the recent list is not kept: {problem}");
+        }
+    }
+
+    /// The places that the list has dropped since the last call.
+    pub(crate) fn take_dropped(&mut self) -> Vec<RecentPlace> {
+        std::mem::take(&mut self.dropped)
     }
 
     pub(crate) fn entries(&self) -> &[RecentEntry] {
@@ -65,24 +88,28 @@ impl RecentList {
     }
 
     pub(crate) fn note(&mut self, entry: RecentEntry, folder: Option<PathBuf>, ctx: &egui::Context) {
-        self.change(ctx, |list| {
+        self.change(|list| {
             list.note(entry);
             list.folder = folder.or(list.folder.take());
         });
+        self.write_on(ctx);
     }
 
     pub(crate) fn forget(&mut self, number: usize, ctx: &egui::Context) {
-        self.change(ctx, |list| {
+        self.change(|list| {
             if number < list.entries.len() {
                 list.entries.remove(number);
             }
         });
+        self.write_on(ctx);
     }
 
-    fn change(&mut self, ctx: &egui::Context, change: impl FnOnce(&mut Recent)) {
+    fn change(&mut self, change: impl FnOnce(&mut Recent)) {
+        let before = self.list.entries.clone();
         change(&mut self.list);
+        let is_gone = |entry: &RecentEntry| self.list.entries.iter().all(|e| e.place != entry.place);
+        self.dropped.extend(before.into_iter().filter(is_gone).map(|entry| entry.place));
         self.waiting = Some(self.list.to_toml());
-        self.write_on(ctx);
     }
 
     fn write_on(&mut self, ctx: &egui::Context) {
@@ -90,15 +117,9 @@ impl RecentList {
             return;
         }
         if let (Some(file), Some(text)) = (self.file.clone(), self.waiting.take()) {
-            self.writing = Background::run(&waker_of(ctx), move || write(file, &text));
+            self.writing = Background::run(&waker_of(ctx), move || write_with_folder(&file, text.as_bytes()));
         }
     }
-}
-
-fn write(file: PathBuf, text: &str) -> Result<(), String> {
-    let folder = file.parent().map_or(Ok(()), std::fs::create_dir_all);
-    folder.map_err(|e| format!("{}: {e}", file.display()))?;
-    write_text(file, text, true).map(drop)
 }
 
 pub(crate) fn ago(now: u64, then: u64) -> String {
@@ -150,6 +171,13 @@ mod tests {
             }
             let expected = Recent { entries: expected, ..before.clone() };
             assert_eq!(list.list, expected);
+            assert_eq!(Recent::read(&file).unwrap(), expected);
+            // A window that closes at once loses nothing either.
+            std::fs::write(&file, before.to_toml()).unwrap();
+            let mut list = RecentList::new(Some(file.clone()), &ctx);
+            list.note(entry("/c"), None, &ctx);
+            (0..num_forgotten).for_each(|_| list.forget(0, &ctx));
+            list.finish();
             assert_eq!(Recent::read(&file).unwrap(), expected);
         }
     }

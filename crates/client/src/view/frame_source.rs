@@ -27,6 +27,11 @@ pub trait FrameSource {
     /// Statistics of the connection.
     fn stats(&self) -> LinkStats;
 
+    /// Whether the server does not answer, although the connection is not lost.
+    fn is_silent(&self) -> bool {
+        self.state() == State::Connected && self.stats().is_silent()
+    }
+
     /// Requests a frame from `pose`, set at `now`. The newest wins, and an unusable pose is ignored.
     fn set_pose(&mut self, now: Duration, pose: Pose, intrinsics: Intrinsics) {
         if let Err(e) = self.talk().pose.set(now.as_micros() as u64, pose, intrinsics) {

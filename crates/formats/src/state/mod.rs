@@ -286,6 +286,9 @@ pub struct SavedView {
     /// Whether axes and scale bar are drawn.
     #[serde(rename = "axes")]
     pub shows_axes: Option<bool>,
+    /// Whether the key to the colours is shown.
+    #[serde(rename = "legend")]
+    pub shows_legend: Option<bool>,
     /// Whether the numbers are shown.
     #[serde(rename = "numbers")]
     pub shows_numbers: Option<bool>,

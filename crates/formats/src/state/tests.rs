@@ -69,6 +69,7 @@ fn state(seed: u32) -> SavedState {
         camera: Some(SavedCamera::of(Vec3::splat(odd(seed + 6)), (rotation, eye), intrinsics)),
         view: SavedView {
             shows_box: Some(true),
+            shows_legend: Some(seed % 3 == 1),
             background: Some(Srgb([1, 2, 254])),
             theme: Some(Theme::Light),
             stereo: Some(StereoPicture::RedCyan),

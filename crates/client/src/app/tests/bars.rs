@@ -39,7 +39,10 @@ fn a_key_leaves_the_picture_alone_and_brings_the_bars_back() {
 fn presets_and_modes_are_shown_by_pictures_of_this_volume() {
     let mut w = window([1280.0, 720.0]);
     assert_eq!(w.state().viewing.source().here().num_shots, 0, "nobody looks at them");
-    open_panel(&mut w);
+    w.key_press(Key::L);
+    w.run_steps(10);
+    assert_eq!(w.state().viewing.source().here().num_shots, 0, "the volume may change at once");
+    rest(&mut w);
     rest(&mut w);
     let wanted = [GalleryEntry::Preset("shells"), GalleryEntry::Preset("smooth")].into_iter();
     let wanted = wanted.chain(Mode::ALL.into_iter().map(GalleryEntry::Mode));
@@ -51,6 +54,9 @@ fn presets_and_modes_are_shown_by_pictures_of_this_volume() {
     assert_eq!(w.state().viewing.source().here().num_shots, num, "each once");
     w.get_by_role_and_label(egui::Role::RadioButton, "mode isosurface").click();
     rest(&mut w);
+    // The surface is in one of the pictures.
+    assert_eq!(w.state().viewing.source().here().num_shots, num + 1);
+    assert!(w.state().gallery.has(GalleryEntry::Mode(Mode::Iso)));
     let look = w.state().viewing.look().unwrap();
     assert!(look.mode == Mode::Iso && look.isos.as_slice().len() == 1);
     w.get_by_role_and_label(egui::Role::RadioButton, "preset smooth").click();

@@ -57,7 +57,17 @@ fn choices_are_kept_and_reset() {
     let now = Duration::from_secs(1);
     let look = w.state().viewing.look().unwrap();
     let lighting_of = |ambient_occlusion| Lighting { ambient_occlusion, ..usual_lighting() };
-    w.state_mut().viewing.set_look(now, Look { lighting: lighting_of(0.25), ..(*look).clone() });
+    // A light that comes from elsewhere is no choice.
+    w.state_mut().viewing.set_look(now, Look { lighting: lighting_of(0.75), ..(*look).clone() });
+    rest(&mut w);
+    wait_for(&mut w, &file, |read| read.view.shows_box.is_some());
+    w.run_steps(80);
+    assert_eq!(Remembered::read(&file).unwrap().light, None);
+    w.get_by_label("Light").scroll_to_me();
+    rest(&mut w);
+    w.get_by_label("Light").click();
+    rest(&mut w);
+    w.get_by_role_and_label(egui::Role::Slider, "ambient occlusion").set_value_accesskit(25.0);
     rest(&mut w);
     wait_for(&mut w, &file, |read| read.light.is_some());
     let read = Remembered::read(&file).unwrap();
@@ -88,9 +98,9 @@ fn choices_are_kept_and_reset() {
     rest(&mut w);
     w.get_by_label("View").click();
     rest(&mut w);
-    w.get_by_label("reset choices").scroll_to_me();
+    w.get_by_label("Reset settings").scroll_to_me();
     rest(&mut w);
-    w.get_by_label("reset choices").click();
+    w.get_by_label("Reset settings").click();
     rest(&mut w);
     wait_for(&mut w, &file, |read| *read == Remembered::default());
     assert!(!w.state().aids.shows_box && lighting(&w) == usual_lighting());
@@ -104,4 +114,16 @@ fn the_legend_is_shown_by_its_key() {
     assert!(w.query_by_label_contains("legend: colours of the values from").is_some());
     press(&mut w, Modifiers::NONE, Key::K);
     assert!(w.query_by_label_contains("legend: ").is_none());
+}
+
+#[test]
+fn the_last_choice_is_kept_at_exit() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let file = folder.path().join("choices.toml");
+    let mut w = remembering(&file, Remembered::default());
+    w.key_press(Key::K);
+    w.run_steps(2);
+    assert!(!file.exists(), "it may change again");
+    w.state_mut().finish_choices();
+    assert_eq!(Remembered::read(&file).unwrap().view.shows_legend, Some(true));
 }

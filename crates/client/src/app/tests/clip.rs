@@ -145,9 +145,9 @@ fn the_projection_changes_by_key_and_in_the_panel_and_keeps_size_and_centre() {
     rest(&mut w);
     w.get_by_label("View").click();
     rest(&mut w);
-    w.get_by_label("orthographic").scroll_to_me();
+    w.get_by_label("Parallel").scroll_to_me();
     rest(&mut w);
-    w.get_by_label("orthographic").click();
+    w.get_by_label("Parallel").click();
     rest(&mut w);
     assert!(is_parallel(&w));
 }

@@ -14,10 +14,19 @@ fn in_a_narrow_window_icons_open_the_sections_over_the_picture() {
         let strip = room.width() - w.state().room.width();
         assert!((30.0..60.0).contains(&strip), "the picture keeps its room: {strip}");
         let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
-        for section in ["Light", "Clip", "View", "Advanced", "State", "Presets"] {
+        assert!(w.query_by_label("opacity over values").is_some(), "the first section");
+        for (section, own) in [
+            ("Light", "light direction"),
+            ("Clip", "clip box"),
+            ("View", "Reset settings"),
+            ("Advanced", "server resolution"),
+            ("State", "save state"),
+            ("Presets", "mode isosurface"),
+        ] {
             w.get_by_role_and_label(egui::Role::CheckBox, section).click();
             rest(&mut w);
             assert!(w.query_by_label("opacity over values").is_none(), "{section} takes its place");
+            assert!(w.query_all_by_label(own).next().is_some(), "{section} is there");
             assert_all_named(&w);
             assert_eq!(outside(&w, screen), Vec::<String>::new(), "{section}");
             assert_eq!(cut_off(&w), Vec::<String>::new(), "{section}");
@@ -74,7 +83,7 @@ fn the_help_finds_what_is_written() {
         w.run_steps(2);
         w.event(Event::Text("probe".into()));
         rest(&mut w);
-        assert!(!shows(&w, "Turn, move and zoom") && shows(&w, "Nothing here says \"probe\""), "{size:?}");
+        assert!(!shows(&w, "Turn, move and zoom") && shows(&w, "No match for \"probe\""), "{size:?}");
         press(&mut w, Modifiers::COMMAND, Key::A);
         w.event(Event::Text("pointer".into()));
         rest(&mut w);

@@ -104,3 +104,34 @@ fn fingerprints_are_behind_details_and_a_new_link_can_be_pasted() {
         _ => panic!("the link connects"),
     }
 }
+
+#[test]
+fn a_new_link_of_a_silent_server_connects() {
+    let mut w = window([900.0, 700.0]);
+    w.state_mut().leave_volumes_to_others();
+    let text = format!("isinglass://far:4433/#token={}&cert=sha256:{}", "0".repeat(32), "cd".repeat(32));
+    w.state_mut().options.link = Some(text.parse().unwrap());
+    for (silence_micros, connects) in [(0, false), (2_300_000, true)] {
+        w.state().viewing.source().here().stats.silence_micros = silence_micros;
+        rest(&mut w);
+        w.event(Event::Paste(text.clone()));
+        w.step();
+        let wish = w.state_mut().take_wish();
+        assert_eq!(matches!(wish, Some(AppWish::Server(_))), connects, "{silence_micros} us");
+    }
+}
+
+/// Nobody else wakes the window then.
+#[test]
+fn a_picture_without_bars_looks_whether_the_server_falls_silent() {
+    let mut w = window([900.0, 700.0]);
+    press(&mut w, Modifiers::NONE, Key::F11);
+    w.run_steps(600);
+    let delay = |w: &Harness<'_, ViewerApp<HereSource>>| {
+        w.output().viewport_output[&egui::ViewportId::ROOT].repaint_delay
+    };
+    assert!(delay(&w) <= Duration::from_millis(500), "{:?}", delay(&w));
+    w.state().viewing.source().here().state = State::Refused(problem());
+    w.run_steps(600);
+    assert!(delay(&w) > Duration::from_secs(60), "the control: {:?}", delay(&w));
+}

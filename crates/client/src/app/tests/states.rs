@@ -22,7 +22,7 @@ fn changed() -> Harness<'static, ViewerApp<HereSource>> {
     drag(&mut w, egui::pos2(300.0, 300.0), vec2(77.0, -41.0), Modifiers::NONE);
     drag(&mut w, egui::pos2(300.0, 300.0), vec2(-13.0, 9.0), Modifiers::SHIFT);
     drag(&mut w, egui::pos2(300.0, 200.0), vec2(30.0, 50.0), Modifiers::COMMAND);
-    for key in [Key::B, Key::A, Key::O] {
+    for key in [Key::B, Key::A, Key::O, Key::K] {
         press(&mut w, Modifiers::NONE, key);
     }
     let transfer = isinglass_formats::preset("cubus").unwrap();
@@ -153,7 +153,7 @@ fn ctrl_o_opens_states_and_presets_from_a_list_of_files() {
     wait(&mut w, |app| app.viewing.look().is_some_and(|look| look.transfer == transfer));
     assert!(w.state().is_look_open);
     // Nobody opens volumes in this window.
-    choose(&mut w, "c", "c.nrrd: NRRD, which does not open here");
+    choose(&mut w, "c", "c.nrrd is not supported: NRRD");
     assert!(w.state().open_dialog.is_open());
     press(&mut w, Modifiers::NONE, Key::Escape);
     assert!(!w.state().open_dialog.is_open() && w.state().wish.is_none());
@@ -359,4 +359,26 @@ fn a_state_whose_part_was_read_and_is_another_volume_is_shown_with_a_line_and_no
     assert!(w.state().coming.is_none());
     assert!(w.state().notice().contains("the state was made of"), "{}", w.state().notice());
     assert_eq!(w.state().seen().unwrap().0.k, 5);
+}
+
+#[test]
+fn a_whole_state_replaces_measures_and_views_and_a_part_of_one_leaves_them() {
+    let other = state(&changed());
+    let part = SavedState { camera: None, ..other.clone() };
+    for (opened, stays) in [(part, true), (other, false)] {
+        let mut w = window([640.0, 480.0]);
+        let points = vec![[0.0; 3], [1.0; 3]];
+        let distance =
+            isinglass_formats::SavedMeasure { kind: isinglass_formats::MeasureKind::Distance, points };
+        w.state_mut().measures.set(vec![distance]);
+        let (center, rotation) = ([0.0; 3], [0.0, 0.0, 0.0, 1.0]);
+        let name = "front".into();
+        let view =
+            NamedView { name, center, rotation, eye_from_center: [0.0, 0.0, 5.0], orthographic: false };
+        w.state_mut().named_views = vec![view];
+        w.state_mut().options.state = Some(opened);
+        wait(&mut w, |app| app.viewing.look().is_some_and(|look| look.k == 5));
+        let left = (w.state().measures.measures().is_empty(), w.state().named_views.is_empty());
+        assert_eq!(left, (!stays, !stays));
+    }
 }

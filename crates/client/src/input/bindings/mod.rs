@@ -418,7 +418,7 @@ const TABLE: &[Line] = &[
     keys("isometric view", &[("isometric", Deed::Act(Action::Isometric), &["0"])]),
     keys("fit the volume into the picture", &[("fit", Deed::Act(Action::Fit), &["f"])]),
     keys(
-        "the view before, the view after",
+        "previous view, next view",
         &[
             ("previous-view", Deed::Act(Action::PreviousView), &["alt+left"]),
             ("next-view", Deed::Act(Action::NextView), &["alt+right"]),
@@ -451,7 +451,7 @@ const TABLE: &[Line] = &[
             ("zoom-out", step(Step::Zoom(-1)), &["-", "ctrl+down"]),
         ],
     ),
-    keys("perspective or orthographic", &[("projection", Deed::Act(Action::Projection), &["5"])]),
+    keys("perspective or parallel", &[("projection", Deed::Act(Action::Projection), &["5"])]),
     task("Colours and light"),
     keys("look panel open or folded", &[("look", Deed::Act(Action::LookPanel), &["l"])]),
     keys("mode: composite, MIP, MinIP, average, isosurface", &[("mode", Deed::Act(Action::Mode), &["m"])]),

@@ -403,7 +403,7 @@ impl Browser {
         let entry = self.entry().filter(|entry| !entry.is_folder)?;
         let can_open = self.opens(entry)?;
         if !can_open {
-            let text = format!("{}: {}, which does not open here", entry.name, entry.kind());
+            let text = format!("{} is not supported: {}", entry.name, entry.kind());
             ui.add(egui::Label::new(RichText::new(text).color(color)).wrap());
             return None;
         }

@@ -15,18 +15,29 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<PathBuf> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)?;
     }
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    for number in 1..MAX_NUMBER {
-        let path = match number {
-            1 => path.to_owned(),
-            _ => path.with_file_name(format!("{stem}-{number}.png")),
-        };
+    for path in numbered(path) {
         match create(&path, bytes) {
             Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
             result => return result.map(|()| path),
         }
     }
     Err(ErrorKind::AlreadyExists.into())
+}
+
+/// The first of the names for a file that no file has.
+pub(super) fn free(path: PathBuf) -> PathBuf {
+    let free = numbered(&path).find(|path| !path.exists());
+    free.unwrap_or(path)
+}
+
+/// The path itself, and then with numbers.
+fn numbered(path: &Path) -> impl Iterator<Item = PathBuf> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let end = path.extension().unwrap_or_default().to_string_lossy();
+    (1..MAX_NUMBER).map(move |number| match number {
+        1 => path.to_owned(),
+        _ => path.with_file_name(format!("{stem}-{number}.{end}")),
+    })
 }
 
 /// The person's folder for pictures, or the next best.
@@ -79,6 +90,10 @@ mod tests {
         assert_eq!(second, folder.join("deeper").join("a-2.png"));
         assert_eq!(std::fs::read(&path).unwrap(), b"one");
         assert_eq!(std::fs::read(&second).unwrap(), b"two");
+        let movie = folder.join("b.gif");
+        assert_eq!(free(movie.clone()), movie);
+        std::fs::write(&movie, b"another").unwrap();
+        assert_eq!(free(movie), folder.join("b-2.gif"));
         assert!(write(&path.join("below a file").join("b.png"), b"").is_err());
         std::fs::remove_dir_all(&folder).unwrap();
     }

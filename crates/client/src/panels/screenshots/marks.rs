@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use egui::{Color32, Context, FontId};
 use isinglass_core::look::Look;
-use isinglass_core::picture::srgb_from_linear;
 use isinglass_formats::png;
 
 use super::Subject;
+use crate::paint::legend::color_at;
 use crate::paint::view_aids::round_length;
 use crate::panels::text::format_in;
 
@@ -67,7 +67,7 @@ impl PictureMarks {
                 let unit = legend.unit.as_deref().map_or(String::new(), |unit| format!(" {unit}"));
                 let color = |i: usize| {
                     let x = 1.0 - i as f32 / (NUM_COLORS - 1) as f32;
-                    legend.look.transfer.at(x).0.map(|c| (srgb_from_linear(c) * 255.0 + 0.5) as u8)
+                    color_at(&legend.look.transfer, legend.look.mode, x)
                 };
                 ColorLegend {
                     colors: (0..NUM_COLORS).map(color).collect(),
@@ -225,14 +225,15 @@ const SCALE_POINTS: f32 = 180.0;
 const NUM_COLORS: usize = 256;
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use glam::Vec3;
     use isinglass_core::camera::{Intrinsics, Pose};
+    use isinglass_core::mode::Mode;
     use isinglass_core::space::Aabb;
 
     use super::*;
 
-    fn subject(width: u32, height: u32) -> Subject {
+    pub(in crate::panels::screenshots) fn subject(width: u32, height: u32) -> Subject {
         let transfer = isinglass_formats::preset("shells").unwrap();
         Subject {
             name: "a".into(),
@@ -274,6 +275,24 @@ mod tests {
             assert!(is_round && text.opacities.iter().any(|o| *o > 128), "{world}");
         }
         assert!(PictureMarks::of(&ctx, &subject(64, 48), false, false).is_none());
+    }
+
+    #[test]
+    fn the_legend_of_a_projection_is_that_of_the_window() {
+        let mut subject = subject(700, 500);
+        let ctx = context();
+        let colors =
+            |subject: &Subject| PictureMarks::of(&ctx, subject, false, true).unwrap().legend.unwrap().colors;
+        let composite = colors(&subject);
+        let legend = subject.legend.as_mut().unwrap();
+        legend.look = Arc::new(Look { mode: Mode::Mip, ..(*legend.look).clone() });
+        let transfer = legend.look.transfer.clone();
+        let projected = colors(&subject);
+        assert_ne!(projected, composite, "the control");
+        for (i, color) in projected.iter().enumerate() {
+            let x = 1.0 - i as f32 / (NUM_COLORS - 1) as f32;
+            assert_eq!(*color, color_at(&transfer, Mode::Mip, x), "{x}");
+        }
     }
 
     #[test]

@@ -87,10 +87,9 @@ pub(crate) fn amber(ctx: &egui::Context) -> Color32 {
     Palette::of(ctx.theme()).amber
 }
 
-/// Colour of a line about a problem.
-pub(crate) fn warning(ui: &Ui) -> Color32 {
-    amber(ui.ctx())
-}
+/// Backgrounds of the picture that the panel offers, sRGB.
+pub(crate) const BACKGROUNDS: [(&str, [u8; 3]); 3] =
+    [("black", [0; 3]), ("grey", [58, 60, 66]), ("white", [255; 3])];
 
 /// A card on a page.
 pub(crate) fn card(ctx: &egui::Context) -> Frame {
@@ -117,7 +116,7 @@ pub(crate) fn name_window(ctx: &egui::Context, name: &str) {
 
 /// Shows what went wrong.
 pub(crate) fn problem(ui: &mut Ui, text: &str) {
-    let text = RichText::new(text).color(warning(ui));
+    let text = RichText::new(text).color(amber(ui.ctx()));
     ui.add(egui::Label::new(text).wrap());
 }
 

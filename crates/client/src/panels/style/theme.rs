@@ -1,5 +1,5 @@
-//! The look of all controls, dark and light: one accent colour, amber and red for trouble only, one size of text and
-//! one of titles, and distances of an 8-point grid.
+//! The look of all controls, dark and light. There is one accent colour; amber and red mean trouble. Text has one size,
+//! titles another, and distances follow an 8-point grid.
 
 use egui::style::{ScrollStyle, WidgetVisuals};
 use egui::{
@@ -173,9 +173,6 @@ mod tests {
 
     use super::*;
 
-    /// Backgrounds of the picture that the panel offers.
-    const PICTURES: [[u8; 3]; 3] = [[0; 3], [58, 60, 66], [255; 3]];
-
     fn over(top: Color32, below: Color32) -> Color32 {
         below.blend(top)
     }
@@ -189,7 +186,8 @@ mod tests {
                 found.push(format!("{what}: {contrast:.2}, at least {least}"));
             }
         };
-        let places = PICTURES.map(|[r, g, b]| over(colors.pane, Color32::from_rgb(r, g, b)));
+        let places =
+            super::super::BACKGROUNDS.map(|(_, [r, g, b])| over(colors.pane, Color32::from_rgb(r, g, b)));
         let places = places.into_iter().chain([visuals.panel_fill, visuals.window_fill, colors.card]);
         let widgets = &visuals.widgets;
         for place in places {

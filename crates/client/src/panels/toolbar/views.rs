@@ -31,10 +31,10 @@ impl Toolbar<'_> {
             self.item(ui, "Isometric", Action::Isometric, wish);
             ui.separator();
             self.item(ui, "Fit the volume", Action::Fit, wish);
-            self.item(ui, "The view before", Action::PreviousView, wish);
-            self.item(ui, "The view after", Action::NextView, wish);
+            self.item(ui, "Previous view", Action::PreviousView, wish);
+            self.item(ui, "Next view", Action::NextView, wish);
             ui.separator();
-            let projection = if self.is_orthographic { "Perspective" } else { "Parallel rays" };
+            let projection = if self.is_orthographic { "Perspective" } else { "Parallel" };
             self.item(ui, projection, Action::Projection, wish);
             self.item(ui, "Next kind of stereo", Action::Stereo, wish);
             ui.menu_button("Up", |ui| self.up_axes(ui, wish));

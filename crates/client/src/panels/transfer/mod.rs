@@ -7,7 +7,9 @@ mod stops;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 use egui::{RichText, Ui, vec2};
 use isinglass_core::mode::Iso;
@@ -168,11 +170,19 @@ impl TransferEditor {
         self.files.read(wake, move || import_transfers(&path).map_err(|e| e.to_string()));
     }
 
-    /// Shows the editor. Each value of `surfaces` is a line in the histogram.
-    pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale, surfaces: &[Iso]) {
+    /// Whether the function has the name of a preset, and is another one. The domain of the first function is the
+    /// server's choice.
+    pub(crate) fn is_edited(&self) -> bool {
+        let transfer = &self.curve.transfer;
+        PRESETS.get(&transfer.name[..]).is_some_and(|points| *points != transfer.points)
+            || (self.preset.name == transfer.name && self.preset.domain != transfer.domain)
+    }
+
+    /// Shows the editor. `presets` are offered. Each value of `surfaces` is a line in the histogram.
+    pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale, presets: &[&str], surfaces: &[Iso]) {
         self.surfaces = surfaces.iter().map(|iso| iso.value).collect();
         ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
-        self.presets_row(ui, scale);
+        self.presets_row(ui, scale, presets);
         self.plot(ui, scale);
         self.point_row(ui);
         self.window_row(ui, scale);
@@ -264,21 +274,20 @@ impl TransferEditor {
         self.view = None;
     }
 
-    fn presets_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
+    fn presets_row(&mut self, ui: &mut Ui, scale: &ValueScale, offered: &[&str]) {
         let half = (ui.available_width() - 6.0) * 0.5;
         let mut taken = None;
         let mut colored = None;
         ui.horizontal(|ui| {
             let transfer = &self.curve.transfer;
-            let is_edited = |preset: TransferFunction| preset.points != transfer.points;
             let name = match transfer.name.as_str() {
                 "" => "unnamed".to_owned(),
-                name if isinglass_formats::preset(name).is_some_and(is_edited) => format!("{name} (edited)"),
+                name if self.is_edited() => format!("{name} (edited)"),
                 name => name.to_owned(),
             };
             let presets = egui::ComboBox::from_id_salt("preset").width(half).height(LIST_HEIGHT).truncate();
             let presets = presets.selected_text(name).show_ui(ui, |ui| {
-                for name in isinglass_formats::preset_names() {
+                for &name in offered {
                     if ui.selectable_label(self.curve.transfer.name == name, name).clicked() {
                         taken = isinglass_formats::preset(name);
                     }
@@ -399,7 +408,7 @@ impl TransferEditor {
         let before = self.curve.tone;
         let mut tone = before;
         for (name, factor, hint) in [
-            ("opacity", &mut tone.opacity, "of all matter: how thick it seems, relative to the curve"),
+            ("opacity", &mut tone.opacity, "Scales opacity"),
             ("brightness", &mut tone.brightness, "of all colours"),
         ] {
             ui.horizontal(|ui| {
@@ -446,9 +455,9 @@ impl TransferEditor {
             });
         });
         if let Some(domain) = domain {
-            self.begin();
             let transfer = TransferFunction { domain, ..self.curve.transfer.clone() };
-            self.set(transfer, scale);
+            let domain = scale.domain(&transfer.domain);
+            self.change(Curve { transfer, domain, ..self.curve.clone() });
             self.fit();
         }
     }
@@ -554,6 +563,12 @@ fn number(
     named_number(&response, egui::Role::SpinButton, name, *value);
     response
 }
+
+/// The points of each preset, parsed once.
+static PRESETS: LazyLock<BTreeMap<&str, Vec<ControlPoint>>> = LazyLock::new(|| {
+    let points = |name| Some((name, isinglass_formats::preset(name)?.points));
+    isinglass_formats::preset_names().filter_map(points).collect()
+});
 
 /// Factors of opacity and brightness.
 const FACTORS: std::ops::RangeInclusive<f32> = 0.1..=10.0;

@@ -167,7 +167,7 @@ impl TransferEditor {
     }
 
     pub(super) fn tell_full(&mut self) {
-        self.files.message = Some("no more points and stops: there are 256".into());
+        self.files.message = Some("At most 256 control points".into());
     }
 
     pub(super) fn hold(&mut self, kind: GripKind, button: PointerButton, from: Pos2) {

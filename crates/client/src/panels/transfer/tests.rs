@@ -41,7 +41,8 @@ fn harness(name: &str) -> Harness<'static, Bench> {
     };
     let show = |ui: &mut Ui, bench: &mut Bench| {
         bench.editor.follow(&bench.given, &bench.scale);
-        bench.editor.show(ui, &bench.scale, bench.isos.as_slice());
+        let presets: Vec<_> = isinglass_formats::preset_names().collect();
+        bench.editor.show(ui, &bench.scale, &presets, bench.isos.as_slice());
         let edit = bench.editor.take_edit(ui.ctx());
         bench.shaded = edit.shaded.or(bench.shaded);
         if let Some(transfer) = edit.transfer {
@@ -238,6 +239,20 @@ fn buttons_set_the_range_and_the_slider_shifts_all_of_it() {
         assert_eq!((h.state().given.domain, &h.state().given.points), (domain, &points));
     }
     click(&mut h, "reset");
+    // A range changes neither opacity nor brightness of the whole.
+    h.get_by_label("opacity of the whole curve").set_value_accesskit(2.0);
+    h.run();
+    let (tone, marks, thick) = (h.state().editor.curve.tone, marks_of(&h), h.state().given.points.clone());
+    assert!(tone != Tone::default() && h.state().editor.is_edited());
+    click(&mut h, "full");
+    assert_eq!((h.state().editor.curve.tone, &h.state().given.points), (tone, &thick));
+    assert_eq!((marks_of(&h), &h.state().given.domain), (marks, &Domain::Full));
+    h.get_by_label("opacity of the whole curve").set_value_accesskit(1.0);
+    h.run();
+    assert_eq!(h.state().given.points, points);
+    assert!(h.state().editor.is_edited(), "another domain");
+    click(&mut h, "reset");
+    assert!(!h.state().editor.is_edited());
     let (level, window) = h.state().editor.curve.level_and_window();
     h.get_by_label("shift of the whole curve").set_value_accesskit(250.0);
     h.run();

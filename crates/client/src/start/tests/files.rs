@@ -12,7 +12,7 @@ fn files_that_are_dropped_are_told_apart_by_what_they_hold() {
     };
     drop_file(&mut stage, "notes.txt");
     until(&mut stage.window, "a message", |w| w.state().problem.is_some());
-    assert!(stage.has("notes.txt: another kind of text, which does not open here. isinglass opens volumes"));
+    assert!(stage.has("notes.txt is not supported: another kind of text. isinglass opens volumes"));
     drop_file(&mut stage, "film.nrrd");
     until(&mut stage.window, "the volume", is_shown);
     assert!(stage.window.state().problem.is_none());
@@ -39,7 +39,10 @@ fn files_that_are_dropped_are_told_apart_by_what_they_hold() {
 fn ctrl_o_opens_volumes_from_the_list_beside_the_picture() {
     let mut stage = Stage::new(Servers::default(), |_| Recent::default());
     let source = stage.folder.path().join("data/inner/small.nrrd").to_string_lossy().into_owned();
-    stage.window.state_mut().open(LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
+    stage
+        .window
+        .state_mut()
+        .open(Act::Open, LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
     until(&mut stage.window, "the volume", is_shown);
     stage.window.key_press_modifiers(Modifiers::COMMAND, Key::O);
     stage.window.run_steps(3);
@@ -63,7 +66,7 @@ fn ctrl_o_opens_volumes_from_the_list_beside_the_picture() {
     stage.window.event(Event::Paste(path));
     stage.window.run_steps(3);
     until(&mut stage.window, "what it is", |w| {
-        w.query_by_label_contains("noise.bin: no header that is known").is_some()
+        w.query_by_label_contains("noise.bin is not supported: no header that is known").is_some()
     });
     press(&mut stage.window, Key::Enter);
     assert!(stage.has("Open a file") && stage.window.state().opening.is_none());
@@ -106,9 +109,10 @@ fn files_over_the_window_are_announced() {
         let file = egui::HoveredFile { path: Some(path), ..Default::default() };
         stage.window.input_mut().hovered_files = vec![file];
     };
-    for (name, told) in
-        [("film.nrrd", "Open film.nrrd, "), ("noise.bin", "noise.bin: no header that is known")]
-    {
+    for (name, told) in [
+        ("film.nrrd", "Open film.nrrd, "),
+        ("noise.bin", "noise.bin is not supported: no header that is known"),
+    ] {
         hover(&mut stage, name);
         until(&mut stage.window, told, |w| w.query_by_label_contains(told).is_some());
     }

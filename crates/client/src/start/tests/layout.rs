@@ -52,7 +52,10 @@ fn everything_on_the_page_has_a_name_and_is_reached_by_tab() {
     let servers = Servers { check_gate: Some(Mutex::new(gate)), ..Servers::default() };
     let mut stage = Stage::new(servers, |_| Recent::default());
     let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
-    stage.window.state_mut().open(LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
+    stage
+        .window
+        .state_mut()
+        .open(Act::Open, LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
     stage.window.state_mut().has_session = true;
     stage.window.run_steps(3);
     assert_eq!(assert_all_named(&stage.window), 2);
@@ -81,5 +84,13 @@ fn the_page_fits_small_windows_in_both_themes() {
         for label in ["link", "Connect"] {
             assert!(screen.contains_rect(stage.window.get_by_label(label).rect()), "{label} in {size:?}");
         }
+        // The system's dialog opens files or folders; our own list opens both.
+        assert!(!stage.has("Choose a folder…"));
+        stage.window.state_mut().system_dialog = SystemDialog::new(true);
+        stage.window.run_steps(4);
+        let [file, folder] =
+            ["Choose a file…", "Choose a folder…"].map(|label| stage.window.get_by_label(label).rect());
+        assert!(screen.contains_rect(folder) && !file.intersects(folder), "{file:?} {folder:?}");
+        assert_eq!(cut_off(&stage.window), Vec::<String>::new(), "{size:?}");
     }
 }

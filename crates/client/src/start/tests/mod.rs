@@ -26,6 +26,7 @@ mod states;
 
 use super::*;
 use crate::app::options::WindowOptions;
+use crate::app::tests::HereSource;
 use crate::app::tests::window_walk::assert_all_named;
 use crate::paint::novel_view::{LAYERS, NovelViews};
 use crate::view::local_servers::{LocalServer, LocalServers};
@@ -372,7 +373,7 @@ fn files_are_found_chosen_and_opened_by_keyboard() {
     for _ in 0..4 {
         press(&mut stage.window, Key::ArrowDown);
     }
-    assert!(stage.has("noise.bin: no header that is known, which does not open here"));
+    assert!(stage.has("noise.bin is not supported: no header that is known"));
     press(&mut stage.window, Key::Enter);
     assert!(stage.window.state().opening.is_none());
     press(&mut stage.window, Key::ArrowUp);
@@ -432,7 +433,10 @@ fn a_slow_opening_holds_up_no_refresh_and_can_be_cancelled() {
     let mut stage = Stage::new(servers, |_| Recent::default());
     let open = |stage: &mut Stage| {
         let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
-        stage.window.state_mut().open(LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
+        stage
+            .window
+            .state_mut()
+            .open(Act::Open, LoadRequest { max_bytes: MAX_BYTES, ..LoadRequest::new(source) });
     };
     open(&mut stage);
     stage.window.run_steps(50);

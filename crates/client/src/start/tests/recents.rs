@@ -50,7 +50,7 @@ fn a_raw_volume_is_opened_again_as_it_was_from_the_list_and_by_a_state() {
     let source = stage.folder.path().join("data/scan.raw").to_string_lossy().into_owned();
     let spacing = Some(Vec3::new(1.0, 1.0, 2.5));
     let volume = VolumeSource { raw: Some(raw()), spacing, ..VolumeSource::new(source.clone()) };
-    stage.window.state_mut().open(volume.clone().request(MAX_BYTES));
+    stage.window.state_mut().open(Act::Open, volume.clone().request(MAX_BYTES));
     until(&mut stage.window, "the volume", is_shown);
     let file = stage.folder.path().join("recent.toml");
     until(&mut stage.window, "the list's file", |_| !Recent::read(&file).unwrap().entries.is_empty());
@@ -67,8 +67,7 @@ fn a_raw_volume_is_opened_again_as_it_was_from_the_list_and_by_a_state() {
     until(&mut stage.window, "the volume", is_shown);
 
     // A state of it brings its shape along; without one the file says nothing of itself.
-    let ctx = stage.window.ctx.clone();
-    stage.window.state_mut().close(&ctx);
+    stage.window.state_mut().close();
     for (saved, is_opened) in [(VolumeSource::new(source), false), (volume, true)] {
         let saved = SavedVolume { name: "scan.raw".into(), dims: [6, 5, 2], ..SavedVolume::default() }
             .opened_from(&saved);
@@ -112,7 +111,7 @@ fn a_name_that_is_not_in_the_folder_is_said_to_be_missing() {
 fn a_server_that_started_and_was_not_taken_ends_on_another_thread() {
     let mut stage = Stage::new(Servers::default(), |_| Recent::default());
     let source = stage.folder.path().join("data/film.nrrd").to_string_lossy().into_owned();
-    stage.window.state_mut().open(VolumeSource::new(source).request(MAX_BYTES));
+    stage.window.state_mut().open(Act::Open, VolumeSource::new(source).request(MAX_BYTES));
     let servers = stage.servers.clone();
     let num_running = || servers.num_running.load(Ordering::SeqCst);
     let patience = Instant::now() + Duration::from_secs(60);
@@ -133,4 +132,52 @@ fn a_server_that_started_and_was_not_taken_ends_on_another_thread() {
     }
     let ended_on = servers.ended_on.lock().unwrap().clone();
     assert!(ended_on.len() == 1 && ended_on[0] != std::thread::current().id());
+}
+
+#[test]
+fn a_source_that_is_forgotten_leaves_no_picture() {
+    let link: Link =
+        format!("isinglass://far:4433/#token={}&cert=sha256:{}", "0".repeat(32), "ab".repeat(32))
+            .parse()
+            .unwrap();
+    let place = RecentPlace::Server { host: "far".into(), port: 4433 };
+    for is_forgotten in [false, true] {
+        let first = First::Connected { source: Box::new(HereSource::new()), link: link.clone() };
+        let mut stage = Stage::begun_with(first, |_| Recent::default());
+        let pictures = stage.folder.path().join("pictures");
+        // Another window's.
+        std::fs::create_dir_all(&pictures).unwrap();
+        std::fs::write(pictures.join("0123456789abcdef.png"), "its own").unwrap();
+        let num_files = || std::fs::read_dir(&pictures).unwrap().count();
+        until(&mut stage.window, "a frame", |w| w.state().app.source().latest_frame().is_some());
+        stage.window.key_press_modifiers(Modifiers::COMMAND, Key::N);
+        until(&mut stage.window, "its picture", |w| w.state().pictures.of(&place).is_some());
+        assert_eq!(num_files(), 2);
+        if is_forgotten {
+            stage.window.get_by_label("forget far:4433").click();
+            until(&mut stage.window, "no picture", |_| num_files() == 1);
+            press(&mut stage.window, Key::Escape);
+            stage.window.key_press_modifiers(Modifiers::COMMAND, Key::N);
+            stage.window.run_steps(3);
+            assert!(stage.window.state().pictures.of(&place).is_none());
+        }
+        stage.window.state_mut().finish();
+        assert_eq!(num_files(), if is_forgotten { 1 } else { 2 });
+        assert_eq!(stage.list().contains("far"), !is_forgotten);
+    }
+}
+
+#[test]
+fn what_goes_wrong_is_told_where_it_was_begun() {
+    let (check, gate) = sync_channel(1);
+    let servers = Servers { check_gate: Some(Mutex::new(gate)), ..Servers::default() };
+    let mut stage = Stage::new(servers, |_| Recent::default());
+    let large = VolumeSource::new(stage.folder.path().join("data/large.nrrd").to_string_lossy());
+    stage.window.state_mut().open(Act::Recent, large.request(MAX_BYTES));
+    let notes = stage.folder.path().join("data/notes.txt");
+    stage.window.input_mut().dropped_files.push(Arc::new(DroppedFile(notes)));
+    let is_of = |w: &Window, act| w.state().problem.as_ref().is_some_and(|(of, _)| *of == act);
+    until(&mut stage.window, "the text is refused", |w| is_of(w, Act::Drop));
+    check.send(()).unwrap();
+    until(&mut stage.window, "there is no room", |w| is_of(w, Act::Recent));
 }
