@@ -216,7 +216,7 @@ mod tests {
         };
         assert!(odd(vec![view("")], vec![]).contains("expected a name"));
         assert!(odd(vec![view(&"x".repeat(5000))], vec![]).contains("expected a name"));
-        assert!(odd(vec![NamedView { rotation: [0.0; 4], ..view("a") }], vec![]).contains("no place"));
+        assert!(odd(vec![NamedView { rotation: [0.0; 4], ..view("a") }], vec![]).contains("is invalid"));
         assert!(odd(vec![view("a"); MAX_VIEWS + 1], vec![]).contains("65 views"));
         assert!(odd(vec![], vec![measure(MeasureKind::Distance, 3)]).contains("3 points"));
         assert!(odd(vec![], vec![measure(MeasureKind::Angle, 2)]).contains("2 points"));

@@ -52,7 +52,10 @@ pub(super) async fn read_slice(
     let read = {
         let mut talk = shared.talk.lock_quietly();
         match unpacked {
-            Ok(slice) => Ok(talk.slices.handle_slice(id, slice)),
+            Ok(slice) => {
+                talk.slices.handle_slice(id, slice);
+                Ok(())
+            }
             Err(why) => {
                 talk.slices.handle_failed(id);
                 Err(why)
