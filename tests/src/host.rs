@@ -31,6 +31,7 @@ impl Host {
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             plan: CodingPlan::EXACT,
             max_viewers: 4,
+            frame_memory: 1 << 30,
             library: Some(Library { parts, loader }),
             timing: Timing::default(),
         };

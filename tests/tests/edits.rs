@@ -38,6 +38,7 @@ fn play(picture: Intrinsics, edits: &[fn(&mut Look)], pause: Option<Duration>) -
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan: CodingPlan::default(),
         max_viewers: 4,
+        frame_memory: 1 << 30,
         library: None,
         timing: Timing::default(),
     };

@@ -52,6 +52,7 @@ async fn serve_with(builtin: Builtin, plan: CodingPlan, backend: Backend) -> Run
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan,
         max_viewers: 4,
+        frame_memory: 1 << 30,
         library: None,
         timing: Timing::default(),
     })

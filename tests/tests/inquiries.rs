@@ -41,6 +41,7 @@ fn serve(runtime: &Runtime, volume: &Arc<Volume>) -> RunningServer {
         plan: CodingPlan::EXACT,
         library: None,
         max_viewers: 4,
+        frame_memory: 1 << 30,
         timing: Timing::default(),
     };
     runtime.block_on(async { start(options).unwrap() })

@@ -86,6 +86,7 @@ fn play(machine: Machine, mode: CodingMode, rtt: Duration) -> Outcome {
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan: CodingPlan { mode, ..CodingPlan::default() },
         max_viewers: 1,
+        frame_memory: 1 << 30,
         library: None,
         timing: Timing { clock: clock.clone(), after_work: machine.after_work() },
     };

@@ -137,6 +137,7 @@ fn demo_of(
         raw: scene.volume.raw,
         selection: scene.volume.selection,
         spacing: scene.volume.spacing,
+        foreign_files: scene.volume.foreign_files,
         rival: contender.rival.clone(),
         foresight: Foresight { predicts, ..demo.foresight },
         degrees_per_second,

@@ -24,6 +24,7 @@ pub mod picture;
 pub mod prediction;
 pub mod session;
 pub mod space;
+pub mod text;
 pub mod transfer;
 pub mod volume;
 pub mod wire;

@@ -6,6 +6,7 @@ use crate::clip::{Clip, ClipError};
 use crate::kernels::march::MarchSettings;
 use crate::layer::MAX_K;
 use crate::mode::{Isos, Mode};
+use crate::text::is_control;
 use crate::transfer::{TransferError, TransferFunction};
 use crate::volume::{Lighting, LightingError};
 
@@ -66,7 +67,7 @@ impl Look {
     /// The first rule that it breaks.
     pub fn validate(&self) -> Result<(), LookError> {
         let name = &self.transfer.name;
-        if name.len() > MAX_NAME_BYTES || name.chars().any(char::is_control) {
+        if name.len() > MAX_NAME_BYTES || name.chars().any(is_control) {
             return Err(LookError::Name(name.len()));
         }
         if !(1..=MAX_K).contains(&usize::from(self.k)) {

@@ -3,6 +3,7 @@
 use std::io;
 use std::path::Path;
 
+use isinglass_core::text::is_control;
 use isinglass_core::transfer::TransferError;
 use isinglass_core::volume::VolumeError;
 
@@ -77,6 +78,14 @@ pub enum FormatError {
         found: u64,
         /// The unit that is counted, such as bytes or numbers.
         unit: &'static str,
+    },
+    /// A file that a header names, or a link in a folder, is outside the folder.
+    #[error("{path}: its file {name} is outside its folder; --foreign-files allows that")]
+    Foreign {
+        /// The header or folder.
+        path: String,
+        /// The name of the file, quoted.
+        name: String,
     },
     /// The voxels cannot be decoded.
     #[error("{path}: voxels: {problem}")]
@@ -208,7 +217,7 @@ pub(crate) fn quoted(text: &str) -> String {
 
 /// A path for a message, on one line.
 pub(crate) fn shown(path: &Path) -> String {
-    path.display().to_string().chars().map(|c| if c.is_control() { '?' } else { c }).collect()
+    path.display().to_string().chars().map(|c| if is_control(c) { '?' } else { c }).collect()
 }
 
 /// Returns a function for `map_err` on anything that reads `path`.
@@ -235,7 +244,7 @@ pub(crate) fn line_at(text: &str, at: usize) -> usize {
 
 /// The message of a parser on one line. It is cut, because parsers quote whole lines of a file.
 pub(crate) fn one_line(message: &str) -> String {
-    let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let line: String = message.chars().map(|c| if is_control(c) { ' ' } else { c }).collect();
     match line.char_indices().nth(MAX_MESSAGE_CHARS) {
         Some((end, _)) => format!("{}…", &line[..end]),
         None => line,

@@ -20,6 +20,7 @@ mod dtype;
 mod error;
 mod facts;
 mod file_list;
+mod foreign;
 mod header_bytes;
 mod hyperslab;
 pub mod iglf;

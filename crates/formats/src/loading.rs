@@ -12,6 +12,7 @@ use crate::error::FormatError;
 use crate::raw::RawShape;
 use crate::selection::Selection;
 use crate::source::{OpenOptions, open};
+use crate::volume_source::VolumeSource;
 
 /// What to open.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,13 +27,14 @@ pub struct LoadRequest {
     pub spacing: Option<Vec3>,
     /// The memory limit in bytes.
     pub max_bytes: u64,
+    /// Whether a header may name files outside its own folder.
+    pub foreign_files: bool,
 }
 
 impl LoadRequest {
     /// A request for all of `source`, with the default limit of memory.
     pub fn new(source: impl Into<String>) -> Self {
-        let OpenOptions { raw, selection, spacing, max_bytes, .. } = OpenOptions::default();
-        Self { source: source.into(), raw, selection, spacing, max_bytes }
+        VolumeSource::new(source).request(OpenOptions::default().max_bytes)
     }
 }
 
@@ -57,11 +59,11 @@ impl Loading {
         let (sender, result) = mpsc::sync_channel(1);
         let theirs = Arc::clone(&shared);
         thread::spawn(move || {
-            let LoadRequest { source, raw, selection, spacing, max_bytes } = request;
+            let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files } = request;
             let progress = |fraction: f32| theirs.progress.store(fraction.to_bits(), Ordering::Relaxed);
             let cancel = Some(&theirs.cancel);
-            let options =
-                OpenOptions { raw, selection, spacing, max_bytes, progress: Some(&progress), cancel };
+            let progress = Some(&progress as &dyn Fn(f32));
+            let options = OpenOptions { raw, selection, spacing, max_bytes, foreign_files, progress, cancel };
             // A panic must not leave the window waiting.
             let opened = catch_unwind(AssertUnwindSafe(|| open(&source, &options)));
             let opened = opened.unwrap_or_else(|_| {

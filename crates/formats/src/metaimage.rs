@@ -14,8 +14,9 @@ use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, quoted, shown};
 use crate::file_list::{MAX_DATA_FILES, numbered_names};
+use crate::foreign::{HomeFolder, note_on_data_files};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
-use crate::source::open_file;
+use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
 
@@ -49,7 +50,7 @@ pub(crate) fn is_header(start: &[u8]) -> bool {
 
 impl MetaImageFile {
     /// `file` is the file at `path`.
-    pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
+    pub(crate) fn open(file: File, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
         let bad = malformed(path, "MetaImage header");
         let mut reader = BufReader::new(file);
         let fields = MetaFields::read(&mut reader).map_err(|e| match e {
@@ -58,7 +59,14 @@ impl MetaImageFile {
         })?;
         let start = reader.stream_position().map_err(io_error(path))?;
         let (plan, num_slices) = fields.plan().map_err(bad)?;
-        let data = fields.data(path, start, num_slices).map_err(bad)?;
+        let names = fields.data_files(num_slices).map_err(bad)?;
+        let data = match &names {
+            None => Data::Local(start),
+            Some(names) => {
+                let home = HomeFolder::of_header(path, options);
+                Data::Files(names.iter().map(|name| home.file(name)).collect::<Result<_, _>>()?)
+            }
+        };
         let is_text = fields.flag(&["BinaryData"]).map_err(bad)? == Some(false);
         let is_packed = fields.flag(&["CompressedData"]).map_err(bad)? == Some(true);
         let header_size = match fields.get(&["HeaderSize"]) {
@@ -79,6 +87,9 @@ impl MetaImageFile {
         };
         let place = if matches!(file.data, Data::Local(_)) { "" } else { ", detached" };
         file.plan.format = format!("MetaImage, {packing}{place}");
+        if let Some(note) = names.and_then(|names| note_on_data_files(path, &names)) {
+            file.plan.warn(WarningKind::Data, note);
+        }
         Ok(file)
     }
 }
@@ -321,8 +332,8 @@ impl MetaFields {
         Ok(Geometry { steps, origin, is_body, unit: is_body.then(|| "mm".to_owned()) })
     }
 
-    /// Where the voxels are. The header of the file at `path` ends at `start`.
-    fn data(&self, path: &Path, start: u64, num_slices: u64) -> Result<Data, String> {
+    /// The names of the files with the voxels; `None` if the voxels follow the header.
+    fn data_files(&self, num_slices: u64) -> Result<Option<Vec<String>>, String> {
         let text = self.get(&["ElementDataFile"]).unwrap_or_default();
         let bad = || {
             format!(
@@ -332,7 +343,7 @@ impl MetaFields {
         };
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
         let names = match words[..] {
-            ["LOCAL" | "Local" | "local"] => return Ok(Data::Local(start)),
+            ["LOCAL" | "Local" | "local"] => return Ok(None),
             ["LIST", ref dimension @ ..] if dimension.len() < 2 => self.files.clone(),
             [pattern, first, last, step] if pattern.contains('%') => {
                 let number = |w: &str| w.parse::<i64>().map_err(|_| bad());
@@ -347,8 +358,7 @@ impl MetaFields {
         if names.is_empty() || names.iter().any(String::is_empty) || names.len() > MAX_DATA_FILES {
             return Err(bad());
         }
-        let folder = path.parent().unwrap_or(Path::new(""));
-        Ok(Data::Files(names.iter().map(|name| folder.join(name)).collect()))
+        Ok(Some(names))
     }
 }
 

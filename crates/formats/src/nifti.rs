@@ -13,10 +13,11 @@ use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, shown};
+use crate::foreign::HomeFolder;
 use crate::header_bytes::HeaderBytes;
 use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
 use crate::sniff::{expected_for, gzip_name};
-use crate::source::open_file;
+use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
 
@@ -52,7 +53,12 @@ fn version(start: &[u8]) -> Option<(u8, Endian, bool)> {
 
 impl NiftiFile {
     /// `file` is the file at `path`, which is a gzip file if `is_packed`.
-    pub(crate) fn open(file: File, path: &Path, is_packed: bool) -> Result<Self, FormatError> {
+    pub(crate) fn open(
+        file: File,
+        path: &Path,
+        is_packed: bool,
+        options: &OpenOptions,
+    ) -> Result<Self, FormatError> {
         let packing = if is_packed { Packing::Gzip } else { Packing::Plain };
         let mut bytes = Vec::new();
         let start = Unpacked::open(file, path, 0, None, packing)?;
@@ -78,7 +84,9 @@ impl NiftiFile {
             return Err(bad(format!("vox_offset is {skip}, expected a place in the file")));
         }
         let (data, packing) = if is_pair {
-            image_of(path).ok_or_else(|| bad("there is no .img file beside it".into()))?
+            let image = image_of(path).ok_or_else(|| bad("there is no .img file beside it".into()))?;
+            HomeFolder::of_header(path, options).check(&image.0)?;
+            image
         } else {
             (path.to_owned(), packing)
         };

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
+use isinglass_core::text::{is_control, printable};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{FormatError, io_error, shown, syntax_error};
@@ -168,7 +169,7 @@ impl StoredEntry {
         let place = match (self.server, self.volume) {
             (Some(server), None) => {
                 let (host, port) = server.rsplit_once(':')?;
-                let is_good = !host.is_empty() && !host.chars().any(|c| c.is_control() || c == '#');
+                let is_good = !host.is_empty() && !host.chars().any(|c| is_control(c) || c == '#');
                 let port = port.parse().ok().filter(|_| is_good)?;
                 RecentPlace::Server { host: host.to_owned(), port }
             }
@@ -176,12 +177,12 @@ impl StoredEntry {
                 let region = self.region.and_then(|r| r.parse::<Region>().ok());
                 let selection = Selection { channel, time, level, series, region };
                 let spacing = spacing.map(Vec3::from);
-                let volume = VolumeSource { source, raw, selection, spacing };
+                let volume = VolumeSource { raw, selection, spacing, ..VolumeSource::new(source) };
                 RecentPlace::Volume(Some(volume).filter(VolumeSource::is_finite)?)
             }
             _ => return None,
         };
-        let shows = self.shows.chars().filter(|c| !c.is_control()).take(MAX_NAME).collect();
+        let shows = printable(&self.shows, MAX_NAME);
         Some(RecentEntry { place, shows, used_at: self.used_at })
     }
 }

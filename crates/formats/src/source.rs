@@ -12,6 +12,7 @@ use isinglass_core::volume::procedural::Builtin;
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, quoted, shown};
+use crate::foreign::HomeFolder;
 use crate::outline::Outline;
 use crate::plan::{Axis, Plan, VolumeFile, read_volume};
 use crate::raw::RawShape;
@@ -30,6 +31,8 @@ pub struct OpenOptions<'a> {
     pub spacing: Option<Vec3>,
     /// Most bytes of memory for the voxels, including the second copy that some files need during reading.
     pub max_bytes: u64,
+    /// Whether a header may name files outside its own folder, and links in a folder may lead outside.
+    pub foreign_files: bool,
     /// Called now and then with the fraction that has been read, 0 to 1.
     pub progress: Option<&'a dyn Fn(f32)>,
     /// Set this flag to stop reading.
@@ -43,6 +46,7 @@ impl Default for OpenOptions<'_> {
             selection: Selection::default(),
             spacing: None,
             max_bytes: DEFAULT_MAX_BYTES,
+            foreign_files: false,
             progress: None,
             cancel: None,
         }
@@ -145,10 +149,10 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
         };
     }
     Ok(match kind {
-        FileKind::Nrrd => Box::new(nrrd::NrrdFile::open(file, path)?),
-        FileKind::Nifti => Box::new(nifti::NiftiFile::open(file, path, false)?),
-        FileKind::Gzip => Box::new(nifti::NiftiFile::open(file, path, true)?),
-        FileKind::MetaImage => Box::new(metaimage::MetaImageFile::open(file, path)?),
+        FileKind::Nrrd => Box::new(nrrd::NrrdFile::open(file, path, options)?),
+        FileKind::Nifti => Box::new(nifti::NiftiFile::open(file, path, false, options)?),
+        FileKind::Gzip => Box::new(nifti::NiftiFile::open(file, path, true, options)?),
+        FileKind::MetaImage => Box::new(metaimage::MetaImageFile::open(file, path, options)?),
         FileKind::Npy => Box::new(npy::NpyFile::open(file, path)?),
         FileKind::Zip => Box::new(npy::NpyFile::open_archive(file, path, options)?),
         FileKind::Mrc => Box::new(mrc::MrcFile::open(file, path)?),
@@ -165,6 +169,7 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
     if zarr::is_group(path) {
         return Ok(Box::new(zarr::ZarrImage::open(path, options)?));
     }
+    let home = HomeFolder::of_folder(path, options);
     let mut files = Vec::new();
     let num_folders = &mut 0;
     list_files(path, options, 0, num_folders, &mut files)?;
@@ -178,6 +183,7 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
     let num_dicom =
         || files.iter().filter(|f| f.parent() == Some(path) && !is_tiff(f) && is_dicom(f)).count();
     if !slices.is_empty() && num_dicom() < slices.len() {
+        home.check_all(&slices)?;
         tiff::sort_by_number(&mut slices);
         return Ok(Box::new(tiff::TiffFile::open(slices, path, options)?));
     }
@@ -204,6 +210,7 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
             expected: sniff::EXPECTED,
         });
     }
+    home.check_all(&files)?;
     Ok(Box::new(dicom::DicomFiles::open(files, path, options)?))
 }
 

@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use isinglass_core::look::MAX_NAME_BYTES;
+use isinglass_core::text::printable;
 use isinglass_core::transfer::{ControlPoint, Domain, MAX_POINTS, TransferFunction, UnitLength};
 
 use crate::error::{FormatError, shown};
@@ -120,7 +121,7 @@ pub(crate) fn imported_from_text(text: &str, path: &Path) -> Result<Vec<Imported
     for item in &mut found {
         let name = if item.name.trim().is_empty() { stem } else { item.name.trim() };
         // Four bytes a character at most.
-        item.name = name.chars().filter(|c| !c.is_control()).take(MAX_NAME_BYTES / 4).collect();
+        item.name = printable(name, MAX_NAME_BYTES / 4);
     }
     if found.is_empty() {
         let found = "no transfer function that can be used";

@@ -22,7 +22,7 @@ pub(crate) fn value_unit(name: &str) -> Option<String> {
     let name = name.trim();
     let is_none =
         ["", "none", "unknown", "relative", "gray value"].contains(&name.to_ascii_lowercase().as_str());
-    (!is_none).then(|| name.chars().filter(|c| !c.is_control()).take(MAX_UNIT_CHARS).collect())
+    (!is_none).then(|| isinglass_core::text::printable(name, MAX_UNIT_CHARS))
 }
 
 const MAX_UNIT_CHARS: usize = 24;

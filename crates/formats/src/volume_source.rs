@@ -18,18 +18,21 @@ pub struct VolumeSource {
     pub selection: Selection,
     /// Distances between voxels, instead of those in the file.
     pub spacing: Option<Vec3>,
+    /// Whether a header may name files outside its own folder. No state or list keeps this.
+    pub foreign_files: bool,
 }
 
 impl VolumeSource {
     /// All of `source`, without changes.
     pub fn new(source: impl Into<String>) -> Self {
-        Self { source: source.into(), raw: None, selection: Selection::default(), spacing: None }
+        let (source, selection) = (source.into(), Selection::default());
+        Self { source, raw: None, selection, spacing: None, foreign_files: false }
     }
 
     /// The options to open it with the default limits.
     pub fn options(&self) -> OpenOptions<'static> {
-        let &Self { raw, selection, spacing, .. } = self;
-        OpenOptions { raw, selection, spacing, ..OpenOptions::default() }
+        let &Self { raw, selection, spacing, foreign_files, .. } = self;
+        OpenOptions { raw, selection, spacing, foreign_files, ..OpenOptions::default() }
     }
 
     /// Whether all of its numbers are finite.
@@ -39,14 +42,14 @@ impl VolumeSource {
 
     /// A request to load it within a limit of memory.
     pub fn request(self, max_bytes: u64) -> LoadRequest {
-        let Self { source, raw, selection, spacing } = self;
-        LoadRequest { source, raw, selection, spacing, max_bytes }
+        let Self { source, raw, selection, spacing, foreign_files } = self;
+        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files }
     }
 }
 
 impl From<LoadRequest> for VolumeSource {
     fn from(request: LoadRequest) -> Self {
-        let LoadRequest { source, raw, selection, spacing, max_bytes: _ } = request;
-        Self { source, raw, selection, spacing }
+        let LoadRequest { source, raw, selection, spacing, max_bytes: _, foreign_files: _ } = request;
+        Self { raw, selection, spacing, ..Self::new(source) }
     }
 }

@@ -23,6 +23,8 @@ pub(crate) struct Locals {
     /// The backend, opened with the first volume and kept, because opening takes a while.
     opened: Mutex<Option<Backend>>,
     max_memory: u64,
+    /// Whether headers may name files outside their folders.
+    foreign_files: bool,
     first: Mutex<Option<FirstLook>>,
 }
 
@@ -50,6 +52,10 @@ impl LocalServers for Locals {
         self.max_memory
     }
 
+    fn allows_foreign_files(&self) -> bool {
+        self.foreign_files
+    }
+
     fn check(&self, outline: &Outline, held: u64) -> Result<(), String> {
         memory::check(&outline.name, outline.bytes_needed(), held, self.max_memory)
     }
@@ -67,6 +73,7 @@ impl LocalServers for Locals {
             }
             None => Look::new(opened.transfer),
         };
+        let bytes = opened.volume.bytes_in_memory();
         let options = ServeOptions {
             volume: opened.volume,
             look,
@@ -74,6 +81,7 @@ impl LocalServers for Locals {
             listen: ([127, 0, 0, 1], 0).into(),
             plan: CodingPlan::default(),
             max_viewers: 1,
+            frame_memory: memory::of_frames(self.max_memory, bytes),
             library: Some(opened.library),
             timing: Timing::default(),
         };
@@ -103,10 +111,15 @@ impl Drop for Running {
 }
 
 /// The services of a window with a start page, or of one that begins with the volume of `first`.
-pub(crate) fn services(backend: BackendChoice, max_memory: u64, first: Option<FirstLook>) -> Services {
+pub(crate) fn services(
+    backend: BackendChoice,
+    max_memory: u64,
+    foreign_files: bool,
+    first: Option<FirstLook>,
+) -> Services {
     let (opened, first) = (Mutex::new(None), Mutex::new(first));
     Services {
-        servers: Arc::new(Locals { backend, opened, max_memory, first }),
+        servers: Arc::new(Locals { backend, opened, max_memory, foreign_files, first }),
         recent_file: state_folder().map(|folder| folder.join("recent.toml")),
         has_system_dialog: true,
         calendar: || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs()),

@@ -6,8 +6,8 @@ use isinglass_client::format_bytes;
 /// The limit, and its default.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct MemoryArgs {
-    /// Most memory for volumes, the shown one and one being read together, such as 12GB or 500MB [default: three
-    /// quarters of the machine's]
+    /// Most memory for volumes, the shown one and one being read together, such as 12GB or 500MB; what it leaves is for
+    /// frames, 256 MiB to 4 GiB [default: three quarters of the machine's]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     max_memory: Option<u64>,
 }
@@ -17,6 +17,17 @@ impl MemoryArgs {
     pub(crate) fn bytes(&self) -> u64 {
         self.max_memory.unwrap_or_else(|| of_machine().map_or(UNKNOWN_MACHINE, |bytes| bytes / 4 * 3))
     }
+
+    /// Most memory of all frames beside a volume, bytes.
+    pub(crate) fn frame_bytes(&self, volume_bytes: u64) -> u64 {
+        of_frames(self.bytes(), volume_bytes)
+    }
+}
+
+/// Most memory of all frames beside a volume, bytes: what the volume leaves, within bounds. Without frames nobody sees
+/// anything, and more than the upper bound is of no use.
+pub(crate) fn of_frames(limit: u64, volume_bytes: u64) -> u64 {
+    limit.saturating_sub(volume_bytes).clamp(LEAST_FOR_FRAMES, MOST_FOR_FRAMES)
 }
 
 /// Checks whether a volume that needs `needed` bytes fits beside the `held` ones; the error is one line.
@@ -74,6 +85,9 @@ fn total_of(meminfo: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
+/// Bounds of the memory for frames.
+const LEAST_FOR_FRAMES: u64 = 256 << 20;
+const MOST_FOR_FRAMES: u64 = 4 << 30;
 /// The limit if the machine does not report its memory: a volume of 2048³ bytes.
 const UNKNOWN_MACHINE: u64 = 8 << 30;
 
@@ -106,6 +120,12 @@ mod tests {
         }
         assert!(!check("a", u64::MAX, 0, 1).unwrap_err().contains("beside"));
         assert!(check("a", u64::MAX, u64::MAX, u64::MAX - 1).is_err());
+    }
+
+    #[test]
+    fn frames_get_what_the_volume_leaves() {
+        assert_eq!(of_frames(3 << 30, 2 << 30), 1 << 30);
+        assert_eq!((of_frames(100, 100), of_frames(u64::MAX, 0)), (LEAST_FOR_FRAMES, MOST_FOR_FRAMES));
     }
 
     #[test]

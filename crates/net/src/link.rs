@@ -9,6 +9,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use isinglass_core::text::printable;
 use isinglass_core::wire::Token;
 
 use crate::identity::Fingerprint;
@@ -114,7 +115,7 @@ struct Parts {
 impl Parts {
     fn of(s: &str) -> Result<Self, LinkError> {
         let s = s.trim();
-        let shown = |s: &str| s.chars().filter(|c| !c.is_control()).take(40).collect::<String>();
+        let shown = |s: &str| printable(s, 40);
         let rest = s.strip_prefix(SCHEME).ok_or_else(|| {
             // The message omits everything behind the '#', which may be secret.
             LinkError::Scheme(shown(s.split('#').next().unwrap_or_default()))

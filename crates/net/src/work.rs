@@ -29,8 +29,13 @@ impl AfterWork {
     pub fn run<T>(&self, work: Work, body: impl FnOnce() -> T) -> T {
         let started = Instant::now();
         let made = body();
-        (self.0)(work, started.elapsed());
+        self.note(work, started.elapsed());
         made
+    }
+
+    /// Calls the hook for work that was done in pieces and took this time in all.
+    pub fn note(&self, work: Work, took: Duration) {
+        (self.0)(work, took);
     }
 }
 

@@ -11,7 +11,7 @@ use isinglass_core::camera::Camera;
 use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::combine;
 use isinglass_core::kernels::layering::budget::Budget;
-use isinglass_core::kernels::layering::{self, FrameMaker};
+use isinglass_core::kernels::layering::{self, FrameMaker, Making, UnfinishedFrame};
 use isinglass_core::kernels::lens::{self, View};
 use isinglass_core::kernels::march::{self, MarchSettings, Scene};
 use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster};
@@ -185,11 +185,39 @@ pub struct CpuRenderer {
     scene: Scene,
     budget: Budget,
     maker: Option<FrameMaker>,
+    /// How many scenes came before this one.
+    num_scenes: u64,
+}
+
+/// A frame that [`Renderer::advance`] makes in pieces. Its scene stays the one it was begun with.
+pub struct FrameInPieces {
+    header: FrameHeader,
+    /// Rows by the CPU's own rule; others make the frame at once.
+    rows: Option<Rows>,
+}
+
+struct Rows {
+    scene: Scene,
+    /// The number of the scene at its renderer.
+    number: u64,
+    frame: UnfinishedFrame,
+}
+
+/// What a piece of work has come to.
+pub enum Piece {
+    /// More pieces follow.
+    Unfinished,
+    /// The frame is there.
+    Whole(LayeredFrame),
+    /// The frame exceeds its number of segments, and would have about so many.
+    TooLarge(usize),
+    /// It was given up.
+    GivenUp,
 }
 
 impl CpuRenderer {
     fn new(scene: Scene, maker: Option<FrameMaker>) -> Self {
-        Self { scene, budget: Budget::default(), maker }
+        Self { scene, budget: Budget::default(), maker, num_scenes: 0 }
     }
 
     fn generate_while(&mut self, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame> {
@@ -219,7 +247,8 @@ impl Renderer {
         match self {
             Self::Gpu(renderer) => renderer.set_scene(scene),
             Self::Cpu(renderer) => {
-                **renderer = CpuRenderer::new(scene, renderer.maker.take());
+                let num_scenes = renderer.num_scenes + 1;
+                **renderer = CpuRenderer { num_scenes, ..CpuRenderer::new(scene, renderer.maker.take()) };
                 Ok(())
             }
         }
@@ -292,6 +321,57 @@ impl Renderer {
             Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(renderer) => Ok(renderer.generate_while(header, wanted)),
         }
+    }
+}
+
+impl Renderer {
+    /// Begins a frame of the present scene, without any of its work.
+    pub fn begin(&self, header: FrameHeader) -> Result<FrameInPieces, GpuError> {
+        let rows = match self {
+            _ if !header.camera.is_valid() => return Err(GpuError::Camera),
+            Self::Cpu(renderer) if renderer.maker.is_none() => {
+                let frame = UnfinishedFrame::new(&renderer.scene, header);
+                Some(Rows { scene: renderer.scene.clone(), number: renderer.num_scenes, frame })
+            }
+            Self::Cpu(_) | Self::Gpu(_) => None,
+        };
+        Ok(FrameInPieces { header, rows })
+    }
+
+    /// Works on a frame while `goes_on`, and at least a little. It gets at most `max_segments` segments. A GPU and a
+    /// laboratory's rule make all of it at once, from the present scene, while it is `wanted`.
+    pub fn advance(
+        &mut self,
+        frame: &mut FrameInPieces,
+        max_segments: usize,
+        goes_on: Wanted<'_>,
+        wanted: Wanted<'_>,
+    ) -> Result<Piece, GpuError> {
+        let (Self::Cpu(renderer), Some(Rows { scene, number, frame: made })) = (&mut *self, &mut frame.rows)
+        else {
+            let made = self.generate_while(frame.header, wanted)?;
+            return Ok(made.map_or(Piece::GivenUp, Piece::Whole));
+        };
+        // What another scene has spent says nothing about this one.
+        let mut other = Budget::default();
+        let budget = if *number == renderer.num_scenes { &mut renderer.budget } else { &mut other };
+        let stays = || wanted() && goes_on();
+        Ok(match made.advance(scene, budget, max_segments, &stays) {
+            _ if !wanted() => Piece::GivenUp,
+            Making::Unfinished => Piece::Unfinished,
+            Making::TooLarge => Piece::TooLarge(made.expected_segments()),
+            Making::Whole => {
+                let empty = UnfinishedFrame::new(scene, frame.header);
+                Piece::Whole(std::mem::replace(made, empty).finish(budget))
+            }
+        })
+    }
+}
+
+impl FrameInPieces {
+    /// Whether its next piece needs the scene it was begun with to be the present one.
+    pub fn needs_its_scene(&self) -> bool {
+        self.rows.is_none()
     }
 }
 

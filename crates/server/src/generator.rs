@@ -1,36 +1,41 @@
-//! The thread that owns the renderer.
+//! Orders for the rendering thread: layered frames and pictures.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
 
-use isinglass_core::camera::{Camera, Intrinsics};
-use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::camera::Camera;
+use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::Detail;
+use isinglass_core::session::admission::ViewerId;
 use isinglass_gpu::GpuError;
-use isinglass_net::{AfterWork, Work};
-use isinglass_render::{Backend, Renderer};
+use isinglass_net::AfterWork;
+use isinglass_render::{Backend, FrameInPieces, Renderer};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::ServeError;
+use crate::company::Company;
+use crate::frame_memory::Held;
 use crate::lights::Lights;
+use crate::render_thread::RenderThread;
 use crate::selection::SceneNumber;
 
-/// Makes layered frames in the order of requests. Clones share the thread, which ends with the last of them.
+/// Has layered frames made; viewers share the time. Clones share the thread, which ends with the last of them.
 #[derive(Clone)]
 pub(crate) struct Generator {
     jobs: mpsc::Sender<Job>,
     after_work: AfterWork,
     pictures: Arc<Semaphore>,
+    /// Who has had work lately.
+    pub(crate) company: Company,
 }
 
 pub(crate) struct Generated {
     pub(crate) frame: LayeredFrame,
-    /// Time for marching and layering, µs.
+    /// Its memory, which is free again when this is dropped.
+    pub(crate) _held: Held,
+    /// Time for marching and layering, without that of others in between, µs.
     pub(crate) generate_micros: u64,
     /// Whether the shade is a draft, so that [`Lights::scene`] can provide a finer one.
     pub(crate) is_draft: bool,
@@ -82,39 +87,59 @@ impl GenerateError {
     }
 }
 
-enum Job {
+/// Whose frame it is, and its limits.
+pub(crate) struct FrameOrder {
+    pub(crate) viewer: ViewerId,
+    pub(crate) scene: SceneNumber,
+    /// Must be valid.
+    pub(crate) look: Look,
+    pub(crate) header: FrameHeader,
+    /// The frame is made while this holds.
+    pub(crate) wish: Wish,
+    /// The memory that it may take while it is made.
+    pub(crate) held: Held,
+}
+
+pub(crate) enum Job {
     Frame(Box<FrameJob>),
     Rows(Box<RowsJob>),
     Replace { state: Box<RenderThread>, reply: oneshot::Sender<()> },
 }
 
-type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;
+pub(crate) type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;
 
-struct FrameJob {
-    scene: SceneNumber,
-    look: Look,
-    header: FrameHeader,
-    wish: Wish,
-    reply: Reply<Generated>,
+pub(crate) struct FrameJob {
+    pub(crate) order: FrameOrder,
+    pub(crate) reply: Reply<Generated>,
+    /// What is made already, and the time that it took, µs.
+    pub(crate) begun: Option<Begun>,
+    pub(crate) spent_micros: u64,
+}
+
+/// A frame in the making.
+pub(crate) struct Begun {
+    pub(crate) frame: FrameInPieces,
+    pub(crate) is_draft: bool,
 }
 
 /// The next rows of a picture.
-struct RowsJob {
-    scene: SceneNumber,
-    look: Look,
+pub(crate) struct RowsJob {
+    pub(crate) viewer: ViewerId,
+    pub(crate) scene: SceneNumber,
+    pub(crate) look: Look,
     /// The scene with all of its shade, if it has any.
-    lit: Option<Scene>,
-    camera: Camera,
-    first: u32,
-    reply: Reply<Picture>,
+    pub(crate) lit: Option<Scene>,
+    pub(crate) camera: Camera,
+    pub(crate) first: u32,
+    /// Pixels that take about [`ROWS_MICROS`]; `None` if that is not known yet.
+    pub(crate) num_pixels: Option<u32>,
+    pub(crate) reply: Reply<Rows>,
 }
 
-struct RenderThread {
-    renderer: Renderer,
-    look: Look,
-    scene: SceneNumber,
-    lights: Lights,
-    after_work: AfterWork,
+/// Some rows of a picture, and the time that they took, µs.
+pub(crate) struct Rows {
+    pub(crate) picture: Picture,
+    pub(crate) micros: u64,
 }
 
 impl Generator {
@@ -129,6 +154,7 @@ impl Generator {
         lights: Lights,
         after_work: AfterWork,
     ) -> Result<Self, ServeError> {
+        let company = Company::default();
         let renderer = renderer_of(backend, scene)?;
         let mut state = RenderThread {
             renderer,
@@ -136,6 +162,7 @@ impl Generator {
             scene: SceneNumber::default(),
             lights,
             after_work: after_work.clone(),
+            company: company.clone(),
         };
         // The march has threads of its own: on shared ones, encoding a frame would wait until the next one is
         // generated.
@@ -146,23 +173,18 @@ impl Generator {
             .name("generator".into())
             .spawn(move || threads.install(work))
             .map_err(ServeError::Thread)?;
-        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)) })
+        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)), company })
     }
 
-    /// The frame for `header` of a scene under a valid look, while the wish holds. `None` if the thread has ended.
+    /// The ordered frame, while its wish holds. It may be smaller than its header says, to keep to its memory. `None`
+    /// if the thread has ended.
     ///
     /// # Errors
     /// If this frame cannot be made.
-    pub(crate) async fn generate(
-        &self,
-        scene: SceneNumber,
-        look: Look,
-        header: FrameHeader,
-        wish: Wish,
-    ) -> Option<Result<Generated, GenerateError>> {
+    pub(crate) async fn generate(&self, order: FrameOrder) -> Option<Result<Generated, GenerateError>> {
         let (reply, answer) = oneshot::channel();
-        let order = Box::new(FrameJob { scene, look, header, wish, reply });
-        self.jobs.send(Job::Frame(order)).await.ok()?;
+        let job = Box::new(FrameJob { order, reply, begun: None, spent_micros: 0 });
+        self.jobs.send(Job::Frame(job)).await.ok()?;
         answer.await.ok()
     }
 
@@ -181,6 +203,7 @@ impl Generator {
             scene: number,
             lights,
             after_work: self.after_work.clone(),
+            company: self.company.clone(),
         });
         self.jobs.send(Job::Replace { state, reply }).await.is_ok() && answer.await.is_ok()
     }
@@ -193,6 +216,7 @@ impl Generator {
     /// If it cannot be made.
     pub(crate) async fn picture(
         &self,
+        viewer: ViewerId,
         scene: SceneNumber,
         look: &Look,
         lights: &Lights,
@@ -201,15 +225,18 @@ impl Generator {
     ) -> Option<Result<Vec<u8>, GenerateError>> {
         let _turn = self.pictures.acquire().await.ok()?;
         let lit = if look.lighting.is_on() { Some(lights.scene(look).await?) } else { None };
-        let (mut srgb, mut first, mut has_failed) = (Vec::new(), 0, false);
+        let (mut srgb, mut first, mut has_failed, mut num_pixels) = (Vec::new(), 0, false, None);
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();
             let (look, lit) = (look.clone(), lit.clone());
-            let order = Box::new(RowsJob { scene, look, lit, camera, first, reply });
-            self.jobs.send(Job::Rows(order)).await.ok()?;
+            let job = RowsJob { viewer, scene, look, lit, camera, first, num_pixels, reply };
+            self.jobs.send(Job::Rows(Box::new(job))).await.ok()?;
             match answer.await.ok()? {
-                Ok(rows) => {
+                Ok(Rows { picture: rows, micros }) => {
                     first += rows.height;
+                    let share = ROWS_MICROS as f64 / micros.max(1) as f64;
+                    // Some rows are dear, and others are free.
+                    num_pixels = Some((rows.pixels.len() as f64 * share.clamp(0.25, 4.0)) as u32);
                     srgb.extend(match background {
                         Some(background) => rows.to_srgb8(background),
                         None => rows.to_srgba8(),
@@ -235,101 +262,7 @@ pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, G
     }
 }
 
-impl RenderThread {
-    fn work(&mut self, jobs: &mut mpsc::Receiver<Job>) {
-        while let Some(job) = jobs.blocking_recv() {
-            // A closed reply means that the viewer left while its order was in the queue.
-            match job {
-                Job::Frame(order) if !order.reply.is_closed() => {
-                    let made = self.attempt(|state| state.generate(&order));
-                    let _ = order.reply.send(made);
-                }
-                Job::Rows(order) if !order.reply.is_closed() => {
-                    let made = self.attempt(|state| state.rows(&order));
-                    let _ = order.reply.send(made);
-                }
-                Job::Frame(_) | Job::Rows(_) => {}
-                Job::Replace { state, reply } => {
-                    *self = *state;
-                    let _ = reply.send(());
-                }
-            }
-        }
-    }
-
-    /// A panic in one frame must not end the service for everyone.
-    fn attempt<T>(
-        &mut self,
-        work: impl FnOnce(&mut Self) -> Result<T, GenerateError>,
-    ) -> Result<T, GenerateError> {
-        let attempt = catch_unwind(AssertUnwindSafe(|| work(self)));
-        let result = attempt.unwrap_or(Err(GenerateError::Panicked));
-        if result.as_ref().is_err_and(GenerateError::is_lost) {
-            tracing::error!("rendering on the CPU from now on: the renderer is lost");
-            self.renderer = Renderer::on_cpu(self.renderer.scene().clone());
-        }
-        result
-    }
-
-    fn generate(&mut self, order: &FrameJob) -> Result<Generated, GenerateError> {
-        let started = Instant::now();
-        self.prepare(order.scene, &order.look, None)?;
-        let (renderer, wanted) = (&mut self.renderer, || order.wish.holds());
-        let work = || renderer.generate_while(order.header, &wanted);
-        let frame = self.after_work.run(Work::Generate, work)?;
-        let frame = frame.ok_or(GenerateError::GivenUp)?;
-        let is_draft = !self.is_final();
-        Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64, is_draft })
-    }
-
-    /// Renders as many rows of a picture as take no longer than a frame.
-    fn rows(&mut self, order: &RowsJob) -> Result<Picture, GenerateError> {
-        self.prepare(order.scene, &order.look, order.lit.as_ref())?;
-        let Intrinsics { width, height, .. } = order.camera.intrinsics;
-        let num_pixels = match self.renderer {
-            Renderer::Gpu(_) => GPU_PIXELS,
-            Renderer::Cpu(_) => CPU_PIXELS,
-        };
-        let end = order.first.saturating_add((num_pixels / width.max(1)).max(1)).min(height);
-        Ok(self.renderer.render_rows(&order.camera, order.first..end)?)
-    }
-
-    /// Sets a look: with all of its shade if that is known or given, else with a draft.
-    fn prepare(&mut self, scene: SceneNumber, look: &Look, lit: Option<&Scene>) -> Result<(), GenerateError> {
-        if scene != self.scene {
-            return Err(GenerateError::OtherVolume);
-        }
-        let is_set = self.look.marches_like(look);
-        if is_set && self.is_final() {
-            // This marks the look as used, so that it is not evicted first.
-            self.lights.known(look);
-            return Ok(());
-        }
-        match lit.cloned().or_else(|| self.lights.known(look)) {
-            Some(lit) => self.renderer.set_scene(lit)?,
-            None if is_set => return Ok(()),
-            None => {
-                let settings = MarchSettings { detail: Detail::Draft, ..look.march_settings() };
-                let has_any = self.renderer.scene().illumination.has_occlusion();
-                let occluded = self.lights.occluded().filter(|_| look.lighting.is_on() && !has_any);
-                match occluded {
-                    Some(scene) => self.renderer.set_scene(scene.with_look(&look.transfer, settings))?,
-                    None => self.renderer.set_look(&look.transfer, settings)?,
-                }
-            }
-        }
-        self.look = look.clone();
-        Ok(())
-    }
-
-    fn is_final(&self) -> bool {
-        self.renderer.scene().illumination.is_final()
-    }
-}
-
-/// Most waiting jobs. Every viewer waits for at most one frame; further ones wait to ask.
+/// Most jobs on their way to the thread. Every viewer waits for one frame and one piece of a picture at most.
 const MAX_JOBS: usize = 16;
-/// Pixels of a picture per piece, so that no viewer waits long for its frame: about a tenth of a second on two cores,
-/// and much less on a GPU.
-const CPU_PIXELS: u32 = 1 << 16;
-const GPU_PIXELS: u32 = 1 << 20;
+/// Time for the rows of a picture, µs: no viewer waits longer for its frame.
+const ROWS_MICROS: u64 = 50_000;

@@ -1,18 +1,22 @@
 //! The server: owns one volume, renders layered frames of it and serves any number of viewers, each with its own pose
 //! and look. Another part of the volume's file may take its place, for all of them.
 //!
-//! One thread owns the renderer and makes frames in the order they are asked for; every viewer has at most one frame
-//! waiting, so all get the same share. A viewer's frame is made for the newest pose that has arrived. It is begun so
+//! One thread owns the renderer and makes frames in pieces; the next piece is for whoever has used least of its time,
+//! so all get the same share. A viewer's frame is made for the newest pose that has arrived. It is begun so
 //! that the coder and the network are free when it is done. None is made for a pose that has been answered. At rest
 //! the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
+mod company;
+mod frame_memory;
 mod generator;
 mod lights;
 mod pipeline;
+mod render_thread;
 mod screenshots;
 mod selection;
 mod serving;
 mod slices;
+mod turns;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -28,6 +32,7 @@ use isinglass_render::Backend;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
+use frame_memory::FrameMemory;
 use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
 
@@ -47,6 +52,8 @@ pub struct ServeOptions {
     pub plan: CodingPlan,
     /// Most viewers at the same time.
     pub max_viewers: u32,
+    /// Most memory of all viewers' frames together, bytes. Frames that would exceed it are made smaller.
+    pub frame_memory: u64,
     /// The volume's file, for viewers to choose parts of; `None` if they cannot.
     pub library: Option<Library>,
     /// Clock and hooks of the server.
@@ -120,7 +127,8 @@ enum Command {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
-    let ServeOptions { volume, look, backend, listen, plan, max_viewers, library, timing } = options;
+    let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
+        options;
     let Timing { clock, after_work } = timing;
     let scene = Scene::new(volume, &look.transfer, look.march_settings());
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
@@ -147,7 +155,9 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     };
     let coders = pipeline::coders()?;
     let slice_makers = Arc::new(slices::SliceMakers::new()?);
-    let common = serving::Common { generator, present, load, orders, plan, after_work, coders, slice_makers };
+    let memory = FrameMemory::new(frame_memory);
+    let common =
+        serving::Common { generator, present, load, orders, plan, after_work, coders, slice_makers, memory };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
     let serving = tokio::spawn(serving::serve(server, reader, common, receiver, attendance_in, newest_in));

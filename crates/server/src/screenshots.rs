@@ -5,6 +5,7 @@ use std::sync::Arc;
 use isinglass_core::camera::Camera;
 use isinglass_core::look::Look;
 use isinglass_core::picture::linear_from_srgb;
+use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::Lighting;
 use isinglass_core::wire::ScreenshotRequest;
 use isinglass_formats::png;
@@ -17,6 +18,7 @@ use crate::selection::Present;
 
 /// One viewer's screenshots. A new request or the viewer's leaving cancels the one in progress.
 pub(crate) struct Screenshots {
+    viewer: ViewerId,
     generator: Generator,
     frames: FrameSender,
     control: Control,
@@ -24,8 +26,8 @@ pub(crate) struct Screenshots {
 }
 
 impl Screenshots {
-    pub(crate) fn new(generator: Generator, frames: FrameSender, control: Control) -> Self {
-        Self { generator, frames, control, running: None }
+    pub(crate) fn new(viewer: ViewerId, generator: Generator, frames: FrameSender, control: Control) -> Self {
+        Self { viewer, generator, frames, control, running: None }
     }
 
     /// Cancels the picture in progress and makes the requested one, if any.
@@ -34,9 +36,9 @@ impl Screenshots {
         let Some(shot) = shot else { return };
         let (generator, look, present) = (self.generator.clone(), look.clone(), present.clone());
         let (frames, control) = (self.frames.clone(), self.control.clone());
-        let id = shot.id;
+        let (id, viewer) = (shot.id, self.viewer);
         let work = async move {
-            match make(&generator, &shot, &look, &present).await {
+            match make(viewer, &generator, &shot, &look, &present).await {
                 // If the viewer has left, nobody waits for it.
                 Ok(png) => drop(frames.send_screenshot(id, &png).await),
                 Err(why) => {
@@ -63,6 +65,7 @@ impl Drop for Screenshots {
 
 /// The picture as a PNG file, or one line that says why there is none.
 async fn make(
+    viewer: ViewerId,
     generator: &Generator,
     shot: &ScreenshotRequest,
     look: &Look,
@@ -75,7 +78,7 @@ async fn make(
     // Light for a look of its own would push out the light that other viewers share.
     let own = shot.look.as_deref().map(|look| Look { lighting: Lighting::default(), ..look.clone() });
     let look = own.as_ref().unwrap_or(look);
-    let made = generator.picture(present.scene, look, &present.lights, camera, background).await;
+    let made = generator.picture(viewer, present.scene, look, &present.lights, camera, background).await;
     let rgb = made.ok_or("the server has stopped rendering")?.map_err(|e| e.to_string())?;
     let [width, height] = [view.intrinsics.width, view.intrinsics.height];
     let encoded = tokio::task::spawn_blocking(move || png::encode(width, height, &rgb));

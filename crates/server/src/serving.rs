@@ -1,6 +1,7 @@
 //! The server's task, and one task per viewer.
 
 mod frames;
+mod sizes;
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -17,12 +18,15 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use crate::frame_memory::{FrameMemory, Held};
 use crate::generator::Generator;
 use crate::pipeline::{Coders, Pipeline, Sent};
 use crate::screenshots::Screenshots;
 use crate::selection::{Order, Present, SelectionReader};
 use crate::slices::{SliceMakers, Slices};
 use crate::{Attendance, Command};
+
+use sizes::FrameSizes;
 
 /// State that all viewers share.
 #[derive(Clone)]
@@ -36,6 +40,7 @@ pub(crate) struct Common {
     pub(crate) coders: Coders,
     /// One for each slice that may be made at a time.
     pub(crate) slice_makers: Arc<SliceMakers>,
+    pub(crate) memory: FrameMemory,
 }
 
 /// Admits viewers until told to close.
@@ -90,6 +95,9 @@ struct Viewer {
     pipeline: Pipeline,
     /// References for later frames.
     sent: References,
+    /// Their memory.
+    held: Held,
+    sizes: FrameSizes,
     /// The newest frame, once the network has it: at rest it is sent again, finer.
     resting: Option<Sent>,
     /// Whether this is its first connection.
@@ -118,11 +126,16 @@ impl Viewer {
         if is_reading {
             common.load.mark_changed();
         }
-        let screenshots =
-            Screenshots::new(common.generator.clone(), session.frames.clone(), session.control.clone());
+        let screenshots = Screenshots::new(
+            session.viewer,
+            common.generator.clone(),
+            session.frames.clone(),
+            session.control.clone(),
+        );
         let (frames, control) = (session.frames.clone(), session.control.clone());
         let slices = Slices::new(common.slice_makers.clone(), frames.clone(), control.clone());
         let pipeline = Pipeline::new(frames, control, session.journal.clone(), &common);
+        let held = common.memory.nothing();
         Self {
             session,
             common,
@@ -130,6 +143,8 @@ impl Viewer {
             frames: FramesServer::new(plan),
             pipeline,
             sent: References::default(),
+            held,
+            sizes: FrameSizes::default(),
             resting: None,
             is_new,
             refining: None,
@@ -243,7 +258,8 @@ impl Viewer {
             talk.slices.handle_volume(since);
         }
         self.frames.handle_volume();
-        (self.resting, self.sent) = (None, References::default());
+        self.sizes = FrameSizes::default();
+        self.forget_sent();
         self.tell_parts();
         self.tell_oddities();
     }

@@ -138,6 +138,7 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
                     listen: SocketAddr::from(([127, 0, 0, 1], 0)),
                     plan: CodingPlan::default(),
                     max_viewers: 1,
+                    frame_memory: 1 << 30,
                     library: Some(Library { parts: parts(0), loader: Arc::new(film) }),
                     timing: Timing::default(),
                 };

@@ -68,6 +68,8 @@ pub struct DemoOptions {
     pub selection: Selection,
     /// Distances between voxels that replace those of the file.
     pub spacing: Option<Vec3>,
+    /// Whether a header may name files outside its own folder.
+    pub foreign_files: bool,
     /// Most memory for the volume, bytes.
     pub max_bytes: u64,
     /// Preset or file; `None` for the one that suits the volume.
@@ -117,6 +119,7 @@ impl Default for DemoOptions {
             raw: None,
             selection: Selection::default(),
             spacing: None,
+            foreign_files: false,
             max_bytes: OpenOptions::default().max_bytes,
             transfer: None,
             shaded: true,
@@ -226,6 +229,7 @@ impl Host {
             listen: ([127, 0, 0, 1], 0).into(),
             plan: options.plan,
             max_viewers: 1,
+            frame_memory: 1 << 30,
             library: None,
             timing,
         };
@@ -259,8 +263,9 @@ impl DemoOptions {
 
     /// The prepared volume, and these options with the orbit made upright.
     pub fn open(&self) -> Result<(OpenedScene, Self), BenchError> {
-        let &Self { raw, selection, spacing, max_bytes, clip, mode, isos, .. } = self;
-        let open = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
+        let &Self { raw, selection, spacing, max_bytes, foreign_files, clip, mode, isos, .. } = self;
+        let open =
+            OpenOptions { raw, selection, spacing, max_bytes, foreign_files, ..OpenOptions::default() };
         let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(self.shaded, self.lighting) };
         let opened = open_scene(&self.source, self.transfer.as_deref(), settings, &open)?;
         let orbit = self.orbit.upright(opened.scene.volume.info.orientation.as_deref());

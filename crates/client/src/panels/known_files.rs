@@ -3,6 +3,7 @@
 use std::io::Read;
 use std::path::Path;
 
+use isinglass_core::text::is_control;
 use isinglass_formats::{Content, MAX_STATE_BYTES, content_of, import_transfers, is_state};
 
 use super::text::format_bytes;
@@ -68,7 +69,7 @@ fn not_opened(path: &Path, found: &str) -> String {
 fn name_of(path: &Path) -> String {
     let name =
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    name.chars().take(80).map(|c| if c.is_control() { '?' } else { c }).collect()
+    name.chars().take(80).map(|c| if is_control(c) { '?' } else { c }).collect()
 }
 
 const WHAT_OPENS: &str = "isinglass opens volumes (NRRD, NIfTI, DICOM, TIFF, MetaImage, MRC, NumPy, VTI, OME-Zarr), \

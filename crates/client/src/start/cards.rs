@@ -106,7 +106,7 @@ fn name_and_place(entry: &RecentEntry) -> (String, String) {
         RecentPlace::Server { host, port } => {
             (place_of(host, *port), format!("a server, which showed {}", entry.shows))
         }
-        RecentPlace::Volume(VolumeSource { source, raw, selection, spacing }) => {
+        RecentPlace::Volume(VolumeSource { source, raw, selection, spacing, .. }) => {
             let part = [
                 ("channel", selection.channel),
                 ("time", selection.time),

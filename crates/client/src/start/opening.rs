@@ -77,12 +77,13 @@ impl Opening {
     /// Opens a volume beside one that takes `held` bytes.
     pub(crate) fn local(
         act: Act,
-        request: LoadRequest,
+        mut request: LoadRequest,
         held: u64,
         servers: Arc<dyn LocalServers>,
         clock: &Clock,
         wake: &Waker,
     ) -> Self {
+        request.foreign_files |= servers.allows_foreign_files();
         let name = std::path::Path::new(&request.source)
             .file_name()
             .map_or_else(|| request.source.clone(), |n| n.to_string_lossy().into_owned());

@@ -11,6 +11,11 @@ pub trait LocalServers: Send + Sync {
     /// Memory limit for volumes, bytes.
     fn max_bytes(&self) -> u64;
 
+    /// Whether a header may name files outside its own folder.
+    fn allows_foreign_files(&self) -> bool {
+        false
+    }
+
     /// Checks that a volume fits beside `held` bytes.
     ///
     /// # Errors
@@ -38,8 +43,9 @@ pub(crate) fn survey(
     held: u64,
     servers: &dyn LocalServers,
 ) -> Result<Outline, String> {
-    let LoadRequest { source, raw, selection, spacing, max_bytes } = request.clone();
-    let options = OpenOptions { raw, selection, spacing, max_bytes, ..OpenOptions::default() };
+    let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files } = request.clone();
+    let foreign_files = foreign_files || servers.allows_foreign_files();
+    let options = OpenOptions { raw, selection, spacing, max_bytes, foreign_files, ..OpenOptions::default() };
     let found = match outline(&source, &options) {
         // The check explains the needs.
         Err(FormatError::TooLarge { .. }) => {

@@ -72,6 +72,10 @@ pub struct FramesServer {
     num_given_up: u8,
     /// Whether the renderer was lost during the previous frame.
     has_failed: bool,
+    /// Most lists of the next frame, beside the limits of all frames.
+    max_lists: usize,
+    /// Whether the newest frame is smaller than it will be at rest.
+    is_small: bool,
 }
 
 impl FramesServer {
@@ -88,6 +92,8 @@ impl FramesServer {
             sent: None,
             num_given_up: 0,
             has_failed: false,
+            max_lists: usize::MAX,
+            is_small: false,
         }
     }
 
@@ -99,6 +105,21 @@ impl FramesServer {
     /// Whether a frame for this pose and look has begun.
     pub fn is_answered(&self, pose: PoseId, version: LookVersion) -> bool {
         self.answered == Some((pose, version))
+    }
+
+    /// Bounds the next frame. `is_small` if the bound is only for a moving camera: at rest a larger frame follows.
+    pub fn bound(&mut self, max_lists: usize, is_small: bool) {
+        (self.max_lists, self.is_small) = (max_lists, is_small);
+    }
+
+    /// The size of the next frame for this request.
+    pub fn size_of(&self, request: &PoseRequest, k: u8) -> Intrinsics {
+        within(bounded(request.intrinsics, k), self.max_lists)
+    }
+
+    /// When the newest pose needs a larger frame, µs; `None` if its frame has its whole size.
+    pub fn larger_due(&self) -> Option<u64> {
+        self.begun_at.filter(|_| self.is_small).map(|at| at + REST_MICROS)
     }
 
     /// Begins the frame for a pose, of a volume with this box.
@@ -124,7 +145,7 @@ impl FramesServer {
             frame: self.newest,
             pose: request.id,
             look: look.version(),
-            camera: Camera::new(request.pose, bounded(request.intrinsics, k), bounds),
+            camera: Camera::new(request.pose, self.size_of(request, k), bounds),
             k,
             mode: Default::default(),
         };
@@ -233,7 +254,7 @@ impl FramesServer {
 
     /// When to call `poll_finer` if no frame is in progress, µs.
     pub fn finer_due(&self, look: &LookServer) -> Option<u64> {
-        let sent = self.sent.as_ref()?;
+        let sent = self.sent.as_ref().filter(|_| !self.is_small)?;
         self.finer(sent, look).map(|_| sent.asked.at_micros + REST_MICROS)
     }
 
@@ -285,7 +306,12 @@ impl FramesServer {
 
 /// The size of the frame for a request: the same shape, at most [`max_lists`] pixels.
 pub fn bounded(request: Intrinsics, k: u8) -> Intrinsics {
-    let excess = request.num_pixels() as f32 / max_lists(k) as f32;
+    within(request, max_lists(k))
+}
+
+/// The same shape with at most `max_lists` pixels, and at least one.
+pub fn within(request: Intrinsics, max_lists: usize) -> Intrinsics {
+    let excess = request.num_pixels() as f32 / max_lists.max(1) as f32;
     if excess <= 1.0 {
         return request;
     }
@@ -352,6 +378,21 @@ mod tests {
             assert!((big.width as f32 / big.height as f32 - 2.0).abs() < 0.01);
             assert!(size(8192, 1).num_pixels() >= 1);
         }
+    }
+
+    #[test]
+    fn a_small_frame_of_a_moving_camera_gives_way_to_its_whole_size_at_rest() {
+        let (mut frames, looks) = of_server();
+        frames.bound(1000, true);
+        let small = send(&mut frames, &looks, 0, &request(1, 0.0));
+        assert!((800..=1000).contains(&small.asked.header.camera.intrinsics.num_pixels()));
+        assert_eq!((frames.finer_due(&looks), frames.larger_due()), (None, Some(REST_MICROS)));
+        frames.handle_unanswered();
+        frames.bound(usize::MAX, false);
+        let whole = send(&mut frames, &looks, REST_MICROS, &request(1, 0.0));
+        assert_eq!(whole.asked.header.camera.intrinsics, request(1, 0.0).intrinsics);
+        assert_eq!((frames.finer_due(&looks), frames.larger_due()), (Some(2 * REST_MICROS), None));
+        assert!(within(request(1, 0.0).intrinsics, 0).num_pixels() >= 1);
     }
 
     #[test]

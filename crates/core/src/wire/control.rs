@@ -17,6 +17,7 @@ use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
 use crate::look::{Look, LookError, MAX_NAME_BYTES};
 use crate::space::Aabb;
+use crate::text;
 use crate::volume::{Histogram, Placement, Volume};
 
 /// A message of the client. [`ClientMessage::Hello`] comes first and once.
@@ -254,7 +255,7 @@ pub trait Message: Serialize + DeserializeOwned {
 impl Message for ClientMessage {
     fn validate(&self) -> Result<(), ControlError> {
         match self {
-            Self::Hello { name, .. } => text("name", name, MAX_NAME_BYTES),
+            Self::Hello { name, .. } => check_text("name", name, MAX_NAME_BYTES),
             Self::SetLook(look) => Ok(look.validate()?),
             Self::Stats(s) if !s.frames_per_second.is_finite() => Err(ControlError::Value("frame rate")),
             Self::Select(part) => part.validate(),
@@ -282,15 +283,15 @@ impl Message for ServerMessage {
                 Ok(())
             }
             Self::LookChanged { look, .. } => Ok(look.validate()?),
-            Self::Refused(Refusal::Protocol(s)) => text("reason", s, MAX_NOTICE_BYTES),
-            Self::Notice(s) => text("notice", s, MAX_NOTICE_BYTES),
+            Self::Refused(Refusal::Protocol(s)) => check_text("reason", s, MAX_NOTICE_BYTES),
+            Self::Notice(s) => check_text("notice", s, MAX_NOTICE_BYTES),
             Self::VolumeChanged(change) => {
                 change.volume.validate()?;
                 Ok(change.look.validate()?)
             }
             Self::Choices(choices) => choices.validate(),
             Self::Load(status) => status.validate(),
-            Self::ScreenshotFailed { why, .. } => text("reason", why, MAX_NOTICE_BYTES),
+            Self::ScreenshotFailed { why, .. } => check_text("reason", why, MAX_NOTICE_BYTES),
             Self::Probed(probed) => probed.validate(),
             Self::Profile(profile) => profile.validate(),
             Self::Refused(_) | Self::Stats(_) => Ok(()),
@@ -301,8 +302,7 @@ impl Message for ServerMessage {
 impl VolumeDescription {
     /// Describes a volume. `histogram` must be the volume's own.
     pub fn of(volume: &Volume, histogram: &Histogram) -> Self {
-        let cut =
-            |s: &str| -> String { s.chars().filter(|c| !c.is_control()).take(MAX_NAME_BYTES / 4).collect() };
+        let cut = |s: &str| text::printable(s, MAX_NAME_BYTES / 4);
         let bins = histogram.counts.len().clamp(1, MAX_BINS);
         let mut counts = vec![0u64; bins];
         for (i, n) in histogram.counts.iter().enumerate() {
@@ -330,9 +330,9 @@ impl VolumeDescription {
     }
 
     fn validate(&self) -> Result<(), ControlError> {
-        text("volume name", &self.name, MAX_NAME_BYTES)?;
+        check_text("volume name", &self.name, MAX_NAME_BYTES)?;
         for s in [&self.unit, &self.orientation, &self.value_unit].into_iter().flatten() {
-            text("unit or orientation", s, MAX_NAME_BYTES)?;
+            check_text("unit or orientation", s, MAX_NAME_BYTES)?;
         }
         let numbers = self.placement.iter().flat_map(|p| p.axes.iter().flatten().chain(&p.center));
         if numbers.into_iter().any(|x| !x.is_finite()) {
@@ -407,12 +407,12 @@ pub fn decode<M: Message>(body: &[u8]) -> Result<M, ControlError> {
 
 /// Makes a text fit for a [`ServerMessage::Notice`]: one line, cut if too long.
 pub fn one_line(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_NOTICE_BYTES / 4).collect()
+    text::one_line(text, MAX_NOTICE_BYTES / 4)
 }
 
 /// The first message of this client.
 pub fn hello(token: Token, instance: Token, name: &str) -> ClientMessage {
-    let name = name.chars().filter(|c| !c.is_control()).take(MAX_NAME_BYTES / 4).collect();
+    let name = text::printable(name, MAX_NAME_BYTES / 4);
     ClientMessage::Hello { protocol: PROTOCOL_VERSION, token, instance, name }
 }
 
@@ -421,8 +421,8 @@ fn check_length(length: usize) -> Result<usize, ControlError> {
 }
 
 /// Texts of a peer reach a terminal, where control characters could rewrite the screen.
-pub(super) fn text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlError> {
-    if s.len() > max_bytes || s.chars().any(char::is_control) {
+pub(super) fn check_text(what: &'static str, s: &str, max_bytes: usize) -> Result<(), ControlError> {
+    if s.len() > max_bytes || s.chars().any(text::is_control) {
         Err(ControlError::Text(what))
     } else {
         Ok(())

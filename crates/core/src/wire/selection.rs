@@ -6,9 +6,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::control::ControlError;
-use super::control::text;
+use super::control::check_text;
 use crate::ids::LoadId;
 use crate::look::MAX_NAME_BYTES;
+use crate::text::printable;
 
 /// A part of a file. A field without a value stands for the default: the first channel and time, the finest level
 /// that fits into memory, the largest series, all voxels.
@@ -102,7 +103,7 @@ impl Choices {
             names.truncate(MAX_LISTED);
             for name in names {
                 // Four bytes hold any character.
-                *name = name.chars().filter(|c| !c.is_control()).take(max_bytes / 4).collect();
+                *name = printable(name, max_bytes / 4);
             }
         };
         cut(&mut self.channels, MAX_CHANNEL_BYTES);
@@ -125,8 +126,8 @@ impl Choices {
         {
             return Err(ControlError::Value("list of parts"));
         }
-        self.channels.iter().try_for_each(|name| text("channel", name, MAX_CHANNEL_BYTES))?;
-        self.series.iter().try_for_each(|name| text("series", name, MAX_NAME_BYTES))
+        self.channels.iter().try_for_each(|name| check_text("channel", name, MAX_CHANNEL_BYTES))?;
+        self.series.iter().try_for_each(|name| check_text("series", name, MAX_NAME_BYTES))
     }
 }
 
@@ -135,7 +136,7 @@ impl LoadStatus {
         self.part.validate()?;
         match &self.state {
             LoadState::Reading { permille: 1001.. } => Err(ControlError::Value("progress")),
-            LoadState::Failed(problem) => text("problem", problem, super::control::MAX_NOTICE_BYTES),
+            LoadState::Failed(problem) => check_text("problem", problem, super::control::MAX_NOTICE_BYTES),
             LoadState::Reading { .. } | LoadState::Done | LoadState::Cancelled => Ok(()),
         }
     }

@@ -1,6 +1,7 @@
 //! Interprets the axes of an NRRD header.
 
 use glam::DVec3;
+use isinglass_core::text::printable;
 
 use super::header::{NrrdHeader, Space};
 use crate::axes::Geometry;
@@ -176,7 +177,7 @@ fn unit(header: &NrrdHeader, kept: &[usize], warnings: &mut Vec<Warning>) -> Opt
         return None;
     }
     let is_name = !first.is_empty() && first != "???" && first != "none";
-    is_name.then(|| first.chars().filter(|c| !c.is_control()).take(MAX_UNIT_CHARS).collect())
+    is_name.then(|| printable(first, MAX_UNIT_CHARS))
 }
 
 /// Longest name of a unit, in characters.

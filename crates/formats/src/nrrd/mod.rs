@@ -12,8 +12,9 @@ use self::header::{ByteSkip, DataFiles, Encoding, HeaderReadError, NrrdHeader};
 use crate::collector::Collector;
 use crate::decode::next_number;
 use crate::error::{FormatError, HeaderError, io_error, shown};
+use crate::foreign::{HomeFolder, note_on_data_files};
 use crate::plan::{Plan, VolumeFile};
-use crate::source::open_file;
+use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked, warn_of_more};
 use crate::units::value_unit;
 use crate::warning::{Warning, WarningKind};
@@ -23,13 +24,15 @@ pub(crate) struct NrrdFile {
     header: NrrdHeader,
     plan: Plan,
     path: PathBuf,
+    /// The files with detached voxels.
+    files: Vec<PathBuf>,
     /// The file at the start of attached voxels.
     reader: Option<BufReader<File>>,
 }
 
 impl NrrdFile {
     /// `file` is the file at `path`.
-    pub(crate) fn open(file: File, path: &Path) -> Result<Self, FormatError> {
+    pub(crate) fn open(file: File, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
         let header_error = |cause| FormatError::Header { path: shown(path), cause };
         let mut reader = BufReader::new(file);
         let header = NrrdHeader::read(&mut reader).map_err(|e| match e {
@@ -49,7 +52,17 @@ impl NrrdFile {
         plan.value_unit = header.sample_units.as_deref().and_then(value_unit);
         plan.warnings = header.warnings.iter().map(|w| Warning::new(WarningKind::Data, w.clone())).collect();
         plan.warnings.extend(axes.warnings);
-        Ok(Self { header, plan, path: path.to_owned(), reader: Some(reader) })
+        let files = match &header.data {
+            DataFiles::Attached => Vec::new(),
+            DataFiles::Detached(names) => {
+                if let Some(note) = note_on_data_files(path, names) {
+                    plan.warn(WarningKind::Data, note);
+                }
+                let home = HomeFolder::of_header(path, options);
+                names.iter().map(|name| home.file(name)).collect::<Result<_, _>>()?
+            }
+        };
+        Ok(Self { header, plan, path: path.to_owned(), files, reader: Some(reader) })
     }
 }
 
@@ -74,12 +87,11 @@ impl VolumeFile for NrrdFile {
         match (&self.header.data, self.reader.take()) {
             (DataFiles::Attached, Some(reader)) => self.take(collector, reader, &self.path, num_voxels),
             (DataFiles::Attached, None) => Ok(()),
-            (DataFiles::Detached(names), _) => names.iter().try_for_each(|name| {
+            (DataFiles::Detached(_), _) => self.files.iter().try_for_each(|path| {
                 if collector.is_done() {
                     return Ok(());
                 }
-                let path = self.path.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name));
-                self.take(collector, BufReader::new(open_file(&path)?), &path, num_voxels)
+                self.take(collector, BufReader::new(open_file(path)?), path, num_voxels)
             }),
         }
     }

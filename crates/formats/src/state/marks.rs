@@ -3,6 +3,7 @@
 use glam::{Quat, Vec3};
 use isinglass_core::camera::Pose;
 use isinglass_core::space::MAX_COORDINATE;
+use isinglass_core::text::is_control;
 use serde::{Deserialize, Serialize};
 
 use crate::error::quoted;
@@ -92,7 +93,7 @@ impl NamedView {
 
 /// Whether a text can name a view.
 pub fn is_view_name(text: &str) -> bool {
-    !text.trim().is_empty() && text.chars().count() <= MAX_VIEW_NAME && !text.chars().any(char::is_control)
+    !text.trim().is_empty() && text.chars().count() <= MAX_VIEW_NAME && !text.chars().any(is_control)
 }
 
 /// What is measured between points.

@@ -116,7 +116,7 @@ impl SavedVolume {
 
     /// The same volume, opened from `volume`.
     pub fn opened_from(self, volume: &VolumeSource) -> Self {
-        let VolumeSource { source, raw, selection, spacing } = volume.clone();
+        let VolumeSource { source, raw, selection, spacing, foreign_files: _ } = volume.clone();
         let Selection { channel, time, level, series, region } = selection;
         let (region, given_spacing) = (region.map(|r| r.to_string()), spacing.map(Vec3::into));
         Self { source: Some(source), channel, time, level, series, region, given_spacing, raw, ..self }
@@ -129,7 +129,7 @@ impl SavedVolume {
     pub fn volume_source(&self) -> Result<Option<VolumeSource>, String> {
         let Some(source) = self.source.clone().filter(|_| self.link().is_none()) else { return Ok(None) };
         let (selection, spacing) = (self.selection()?, self.given_spacing.map(Vec3::from));
-        Ok(Some(VolumeSource { source, raw: self.raw, selection, spacing }))
+        Ok(Some(VolumeSource { raw: self.raw, selection, spacing, ..VolumeSource::new(source) }))
     }
 
     /// The part of the file.

@@ -215,6 +215,7 @@ fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
         raw: Some(raw(1)),
         selection,
         spacing: volume.given_spacing.map(Vec3::from),
+        foreign_files: false,
     };
     assert_eq!(volume.volume_source(), Ok(Some(source.clone())));
     let opened = SavedVolume { time: None, raw: None, ..volume.clone() }.opened_from(&source);

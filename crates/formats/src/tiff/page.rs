@@ -314,7 +314,7 @@ pub(super) fn tiff_error(path: &Path, page: u32, e: TiffError) -> FormatError {
 
 /// A message of the decoder, on one short line.
 fn one_line(e: &TiffError) -> String {
-    e.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(MAX_MESSAGE_CHARS).collect()
+    isinglass_core::text::one_line(&e.to_string(), MAX_MESSAGE_CHARS)
 }
 
 /// SGI's tag for pages that are volumes.

@@ -8,6 +8,7 @@ use super::ome::{self, Files, Ome};
 use super::page::{self, Group, Scan};
 use super::{PageLocation, Stack, TiffFile, plan, several_series};
 use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
+use crate::foreign::HomeFolder;
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
@@ -34,9 +35,10 @@ impl OmeSet {
         let bad = malformed(path, OME_TIFF);
         let own = &files[0];
         let folder = own.parent().unwrap_or(Path::new("")).to_owned();
+        let home = HomeFolder::of_header(own, options);
         let mut ome = Ome::read(text).map_err(bad)?;
         if let Some(name) = ome.metadata_file.take() {
-            ome = elsewhere(&folder, &name, own)?;
+            ome = elsewhere(&home, &folder, &name, own)?;
         }
         let index = options.selection.series.unwrap_or(0) as usize;
         if index >= ome.num_images() {
@@ -64,7 +66,8 @@ impl OmeSet {
                 });
             }
         }
-        let paths = std::iter::once(own.clone()).chain(named.others.iter().map(|n| folder.join(n))).collect();
+        let others = named.others.iter().map(|name| home.file(name)).collect::<Result<Vec<_>, _>>()?;
+        let paths = std::iter::once(own.clone()).chain(others).collect();
         Ok(Some(Self { ome, index, files: named, paths, num_left }))
     }
 
@@ -129,7 +132,7 @@ impl OmeSet {
 }
 
 /// Reads the description in the file `name`, to which `own` beside it refers. It is a TIFF file or a document.
-fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> {
+fn elsewhere(home: &HomeFolder, folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> {
     let bad = malformed(own, OME_TIFF);
     if name.is_empty() || name.contains(['/', '\\', '\0']) {
         return Err(bad(format!(
@@ -141,6 +144,7 @@ fn elsewhere(folder: &Path, name: &str, own: &Path) -> Result<Ome, FormatError> 
     if !path.is_file() {
         return Err(bad(format!("its description is in {}, which is missing", quoted(name))));
     }
+    home.check(&path)?;
     let mut bytes = Vec::new();
     open_file(&path)?.take(MAX_DOCUMENT_BYTES + 1).read_to_end(&mut bytes).map_err(io_error(&path))?;
     let text = if bytes.starts_with(b"II") || bytes.starts_with(b"MM") {

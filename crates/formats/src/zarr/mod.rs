@@ -17,6 +17,7 @@ use self::multiscale::Multiscale;
 use crate::collector::Collector;
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, malformed, not_there};
+use crate::foreign::HomeFolder;
 use crate::plan::{Plan, VolumeFile};
 use crate::source::OpenOptions;
 use crate::warning::WarningKind;
@@ -25,17 +26,25 @@ pub(crate) struct ZarrImage {
     plan: Plan,
     array: Array,
     most_bytes: u64,
+    home: HomeFolder,
 }
 
 /// Whether a folder is an array or a group of arrays.
 pub(crate) fn is_group(path: &Path) -> bool {
-    [".zattrs", ".zgroup", ".zarray", "zarr.json"].iter().any(|name| path.join(name).is_file())
+    METADATA.iter().any(|name| path.join(name).is_file())
+}
+
+/// Refuses links out of the folder that was opened.
+fn check_metadata(home: &HomeFolder, folder: &Path) -> Result<(), FormatError> {
+    METADATA.iter().try_for_each(|name| home.check(&folder.join(name)))
 }
 
 impl ZarrImage {
     /// Opens the group or array in the folder `path`.
     pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
         let bad = malformed(path, "OME-Zarr");
+        let home = HomeFolder::of_folder(path, options);
+        check_metadata(&home, path)?;
         let mut image = path.to_owned();
         let mut series = Vec::new();
         let mut found = Multiscale::read(path)?;
@@ -45,6 +54,7 @@ impl ZarrImage {
             let index = options.selection.series.unwrap_or(0) as usize;
             if let Some(name) = series.get(index) {
                 image = path.join(name);
+                check_metadata(&home, &image)?;
                 found = Multiscale::read(&image)?;
             } else if !series.is_empty() {
                 return Err(not_there(path, "series", index as u64, series.len()));
@@ -56,6 +66,7 @@ impl ZarrImage {
         let mut arrays = Vec::new();
         for level in &multiscale.levels {
             options.check_cancelled(path)?;
+            check_metadata(&home, &image.join(&level.path))?;
             arrays.push(Array::read(&image.join(&level.path))?);
         }
         let level = match options.selection.level {
@@ -83,7 +94,7 @@ impl ZarrImage {
             }
             plan.series = series;
         }
-        Ok(Self { plan, array: arrays.swap_remove(level), most_bytes: options.max_bytes })
+        Ok(Self { plan, array: arrays.swap_remove(level), most_bytes: options.max_bytes, home })
     }
 }
 
@@ -149,6 +160,7 @@ impl ZarrImage {
     fn chunk(&self, index: &[u64], slab: &mut Slab, collector: &Collector) -> Result<(), FormatError> {
         let array = &self.array;
         let path = array.chunk_path(index);
+        self.home.check(&path)?;
         let mut file = match File::open(&path) {
             Ok(file) => file,
             // Chunks that are not stored have the fill value, which is in the slab already.
@@ -307,6 +319,8 @@ impl Slab {
     }
 }
 
+/// The files that describe arrays and groups.
+const METADATA: [&str; 4] = [".zattrs", ".zgroup", ".zarray", "zarr.json"];
 /// Most images of a group.
 const MAX_SERIES: usize = 4096;
 /// Most chunks of a volume.

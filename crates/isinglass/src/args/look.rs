@@ -33,11 +33,12 @@ pub(crate) struct LookArgs {
 }
 
 /// On or off.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Switch {
     /// Yes.
     On,
     /// No.
+    #[default]
     Off,
 }
 

@@ -12,7 +12,7 @@ use isinglass_formats::{
 };
 use isinglass_formats::{OpenedScene, open_scene};
 
-use super::LookArgs;
+use super::{LookArgs, Switch};
 use crate::library::{FileLoader, OpenedFile};
 use crate::memory::MemoryArgs;
 
@@ -36,13 +36,14 @@ impl VolumeArgs {
 
     pub(crate) fn volume_source(&self) -> Result<VolumeSource> {
         let (source, raw, selection) = (self.source()?.to_owned(), self.raw.shape(), self.part.selection());
-        Ok(VolumeSource { source, raw, selection, spacing: self.part.spacing })
+        let (spacing, foreign_files) = (self.part.spacing, self.part.has_foreign_files());
+        Ok(VolumeSource { source, raw, selection, spacing, foreign_files })
     }
 
     /// The volume of a saved state; flags for another part or layout override it.
     pub(crate) fn in_state(&self, saved: VolumeSource) -> Self {
         let of_flags = self.part.selection();
-        let VolumeSource { source, raw, selection: saved, spacing } = saved;
+        let VolumeSource { source, raw, selection: saved, spacing, foreign_files: _ } = saved;
         let raw = raw.filter(|_| self.raw.shape().is_none());
         let part = PartArgs {
             channel: of_flags.channel.or(saved.channel),
@@ -50,6 +51,7 @@ impl VolumeArgs {
             level: of_flags.level.or(saved.level),
             series: of_flags.series.or(saved.series),
             region: of_flags.region.or(saved.region),
+            foreign_files: self.part.foreign_files,
             spacing: self.part.spacing.or(spacing).or(raw.map(|r| r.spacing).filter(|s| *s != Vec3::ONE)),
         };
         let raw = raw.map_or_else(|| self.raw.clone(), |raw| RawArgs::of(&raw));
@@ -75,6 +77,7 @@ impl VolumeArgs {
             selection: self.part.selection(),
             spacing,
             max_bytes: MemoryArgs::default().bytes(),
+            foreign_files: self.part.has_foreign_files(),
             ..OpenOptions::default()
         }
     }
@@ -119,12 +122,21 @@ pub(crate) struct PartArgs {
     /// Distances between voxels that replace those of the file
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, allow_hyphen_values = true)]
     pub(crate) spacing: Option<Vec3>,
+    /// Whether a header may name data files outside its own folder, and links in a folder may lead outside
+    #[arg(long, value_name = "on|off", value_enum, num_args = 0..=1, require_equals = true)]
+    #[arg(default_value_t, default_missing_value = "on", hide_possible_values = true)]
+    foreign_files: Switch,
 }
 
 impl PartArgs {
     pub(crate) fn selection(&self) -> Selection {
         let &Self { channel, time, level, series, region, .. } = self;
         Selection { channel, time, level, series, region }
+    }
+
+    /// Whether data files may be outside the folder of their header.
+    pub(crate) fn has_foreign_files(&self) -> bool {
+        self.foreign_files == Switch::On
     }
 }
 

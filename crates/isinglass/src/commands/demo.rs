@@ -9,7 +9,7 @@ use isinglass_bench::demo::{DEFAULT_SOURCE, DemoOptions, run_headless};
 use isinglass_bench::progress::note;
 use isinglass_client::{InitialOrbit, ViewerError, ViewerOptions, WindowOptions, display_available};
 use isinglass_core::orbit::Orbit;
-use isinglass_formats::{Remembered, SavedState};
+use isinglass_formats::{Remembered, SavedState, VolumeSource};
 use isinglass_net::LinkModel;
 use isinglass_server::{ServeOptions, Timing};
 
@@ -122,6 +122,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         raw: args.raw.shape(),
         selection: args.part.selection(),
         spacing: args.part.spacing,
+        foreign_files: args.part.has_foreign_files(),
         max_bytes: args.memory.bytes(),
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),
@@ -161,13 +162,15 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let names_volume = seen.state.volume.as_ref().is_some_and(|v| v.source.is_some());
     let volume = args.volume.or_else(|| (!names_volume).then(|| DEFAULT_SOURCE.into()));
     let volume = seen.volume(&VolumeArgs { volume, raw: args.raw, part: args.part })?;
-    let volume_source = Some(volume.volume_source()?);
+    // A state never says that files outside the folder are allowed.
+    let volume_source = Some(VolumeSource { foreign_files: false, ..volume.volume_source()? });
     let (opened, look) =
         seen.open_to_serve(&volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     let size = args.size.unwrap_or(args.window_size);
     let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window, &Remembered::default());
     // The server already has the look with its flags.
     let state = Some(SavedState { look: None, ..state });
+    let bytes = opened.volume.bytes_in_memory();
     let options = ServeOptions {
         volume: opened.volume,
         look,
@@ -175,6 +178,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
         listen: ([127, 0, 0, 1], 0).into(),
         plan: args.plan.plan(None),
         max_viewers: 1,
+        frame_memory: args.memory.frame_bytes(bytes),
         library: Some(opened.library),
         timing: Timing::default(),
     };

@@ -85,6 +85,7 @@ pub(super) fn run(args: PipelineArgs) -> Result<()> {
         raw: args.raw.shape(),
         selection: args.part.selection(),
         spacing: args.part.spacing,
+        foreign_files: args.part.has_foreign_files(),
         max_bytes: args.memory.bytes(),
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),

@@ -66,6 +66,7 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
     let state = seen.for_link(&look);
     let backend = args.backend.open()?;
     let description = backend.description();
+    let bytes = opened.volume.bytes_in_memory();
     let options = ServeOptions {
         volume: opened.volume,
         look,
@@ -73,6 +74,7 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         listen: args.listen,
         plan: args.plan.plan(args.rate),
         max_viewers: args.viewers,
+        frame_memory: args.memory.frame_bytes(bytes),
         library: (!args.fixed).then_some(opened.library),
         timing: Timing::default(),
     };

@@ -144,11 +144,12 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         ..WindowOptions::default()
     };
     let limit = args.memory.bytes();
+    let foreign_files = args.part.has_foreign_files();
     let request = match target {
         Some(Target::Server(link)) => {
             let (client, waker) = connect(&link)?;
             let clock = client.clock().clone();
-            let services = local::services(args.backend.backend, limit, None);
+            let services = local::services(args.backend.backend, limit, foreign_files, None);
             run_window_with_start(window, clock, services, move |wake| {
                 // There is only one window, so no waker was set before.
                 let _ = waker.set(wake);
@@ -157,7 +158,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             return write_path(args.record.as_deref(), recorder.as_deref());
         }
         Some(Target::Volume(source)) => {
-            Some(LoadRequest { source, raw, selection, spacing, max_bytes: limit })
+            Some(LoadRequest { source, raw, selection, spacing, max_bytes: limit, foreign_files })
         }
         None if of_state => {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
@@ -177,7 +178,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             // The volume's server already has the look with its flags.
             let state = window.state.map(|state| SavedState { look: None, ..state });
             let window = WindowOptions { state, ..window };
-            let services = local::services(args.backend.backend, limit, Some(first));
+            let services = local::services(args.backend.backend, limit, foreign_files, Some(first));
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
         }
         None => {
@@ -186,7 +187,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                     "the state was made with the server {server}: connect to that, and it is shown"
                 ));
             }
-            let services = local::services(args.backend.backend, limit, None);
+            let services = local::services(args.backend.backend, limit, foreign_files, None);
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::StartPage))?;
         }
     }

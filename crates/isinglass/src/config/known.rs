@@ -52,6 +52,7 @@ pub(super) const SETTINGS: &[Known] = &[
     server("coding", "quality", "quality"),
     server("render", "backend", "backend"),
     server("render", "max_memory", "max_memory"),
+    server("files", "foreign", "foreign_files"),
     server("look", "tf", "tf"),
     server("look", "shading", "shading"),
     server("look", "ambient_occlusion", "ambient_occlusion"),

@@ -5,6 +5,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use isinglass_core::text::is_control;
 use isinglass_formats::{SettingValue, read_settings};
 
 use super::known::{BINDINGS, SERVER, SETTINGS, VIEWER, expected};
@@ -50,12 +51,8 @@ impl fmt::Display for Origin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::File(path, line) => {
-                let path: String = path
-                    .display()
-                    .to_string()
-                    .chars()
-                    .map(|c| if c.is_control() { '?' } else { c })
-                    .collect();
+                let path: String =
+                    path.display().to_string().chars().map(|c| if is_control(c) { '?' } else { c }).collect();
                 write!(f, "{path}:{line}")
             }
             Self::Variable(name) => f.write_str(name),

@@ -7,6 +7,7 @@ use std::time::Duration;
 use isinglass_core::session::client;
 use isinglass_core::session::link::retry_wait_micros;
 use isinglass_core::session::pose::ReceiverReport;
+use isinglass_core::text::printable;
 use isinglass_core::wire::control::hello;
 use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token};
 use quinn::{
@@ -192,8 +193,7 @@ impl Dialer {
                 ConnectError::Busy
             }
             ConnectionError::ApplicationClosed(close) => {
-                let reason: String =
-                    String::from_utf8_lossy(&close.reason).chars().filter(|c| !c.is_control()).collect();
+                let reason = printable(&String::from_utf8_lossy(&close.reason), MAX_REASON_CHARS);
                 match close.error_code {
                     transport::CLOSE_REPLACED => ConnectError::Replaced,
                     transport::CLOSE_REFUSED => ConnectError::Refused(Refusal::Protocol(reason)),
@@ -228,8 +228,7 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
         let problem = match dialed {
             Ok(dialed) => {
                 let span = tracing::info_span!("session", server = %dialed.connection.remote_address());
-                attempt = 0;
-                let mut dialed = dialed;
+                let (mut dialed, since) = (dialed, Instant::now());
                 let ended = tokio::select! {
                     () = &mut stopped => None,
                     ended = drive(&shared, &mut dialed).instrument(span) => Some(ended),
@@ -239,6 +238,9 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
                     dialed.connection.close(transport::CLOSE_BYE, b"");
                     return say_goodbye(&dialed.endpoint).await;
                 };
+                if since.elapsed() >= USEFUL {
+                    attempt = 0;
+                }
                 shared.talk.lock().handle_lost();
                 lost_at = Some(shared.clock.now_micros());
                 match ended {
@@ -431,6 +433,10 @@ const NO_COMMON_ALPN: u8 = 120;
 const STATS_INTERVAL: Duration = Duration::from_millis(200);
 /// Time for a connection's close reason to arrive after the end of its streams.
 const REASON_WAIT: Duration = Duration::from_secs(1);
+/// Longest close reason that is shown, in characters.
+const MAX_REASON_CHARS: usize = 500;
+/// A connection that lasted this long was of use. Attempts after one that ended sooner wait ever longer.
+const USEFUL: Duration = Duration::from_secs(5);
 /// Delay between attempts at the addresses of a host.
 const HEAD_START: Duration = Duration::from_millis(250);
 /// Most addresses of a host that are tried.

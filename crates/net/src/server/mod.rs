@@ -3,6 +3,7 @@
 mod frames;
 mod pending_hellos;
 mod session;
+mod stranger_log;
 
 use std::collections::HashMap;
 use std::io;
@@ -30,6 +31,7 @@ use crate::link::Link;
 use crate::transport;
 
 use pending_hellos::{MAX_PENDING, PendingHellos};
+use stranger_log::StrangerLog;
 
 pub use frames::{FrameSender, SentSlice};
 pub use session::{Control, Session, SessionClosed};
@@ -97,6 +99,7 @@ struct ServerShared {
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
     pending: Arc<PendingHellos>,
+    strangers: StrangerLog,
     /// Notified when a place is given back.
     left: Arc<Notify>,
 }
@@ -139,6 +142,7 @@ impl Server {
             greeting: Mutex::new(greeting.into()),
             doors: Mutex::default(),
             pending: Arc::default(),
+            strangers: StrangerLog::default(),
             left: Arc::default(),
         });
         let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
@@ -234,18 +238,18 @@ async fn accept_all(endpoint: Endpoint, shared: Arc<ServerShared>, sessions: mps
         tokio::spawn(
             async move {
                 let Some(mut seat) = shared.pending.enter(remote.ip(), Instant::now()) else {
+                    shared.tell(remote, &"too many connections, or wrong tokens, at once");
                     return incoming.refuse();
                 };
                 let admitted = tokio::select! {
                     admitted = admit(&shared, incoming) => admitted,
-                    () = seat.is_lost() => return tracing::info!("no hello yet, and others want to come in"),
-                    () = tokio::time::sleep(2 * transport::AUTH_DEADLINE) => {
-                        return tracing::info!("no hello within {:?}", 2 * transport::AUTH_DEADLINE);
-                    }
+                    () = seat.is_lost() => Err("no hello yet, and others want to come in".into()),
+                    () = tokio::time::sleep(2 * transport::AUTH_DEADLINE) => Err(no_hello(2)),
                 };
                 drop(seat);
-                if let Some(admitted) = admitted {
-                    session::run(admitted, sessions).await;
+                match admitted {
+                    Ok(admitted) => session::run(admitted, sessions).await,
+                    Err(why) => shared.tell(remote, &why),
                 }
             }
             .instrument(tracing::info_span!("connection", %remote)),
@@ -277,8 +281,9 @@ impl Drop for Place {
     }
 }
 
-/// From the first packet to the welcome; `None` if the connection failed, which is logged.
-async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Option<Admitted> {
+/// From the first packet to the welcome, or why there is no viewer.
+async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitted, String> {
+    let remote = incoming.remote_address();
     let greeted = async {
         let connection = incoming.await.map_err(|e| e.to_string())?;
         let guard = CloseUnlessKept(Some(connection.clone()));
@@ -290,14 +295,8 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Option<Admitte
     let (connection, mut guard, mut send, recv, hello) =
         match tokio::time::timeout(transport::AUTH_DEADLINE, greeted).await {
             Ok(Ok(greeted)) => greeted,
-            Ok(Err(e)) => {
-                tracing::info!("no viewer: {e}");
-                return None;
-            }
-            Err(_) => {
-                tracing::info!("no hello within {:?}", transport::AUTH_DEADLINE);
-                return None;
-            }
+            Ok(Err(e)) => return Err(e),
+            Err(_) => return Err(no_hello(1)),
         };
     let decision = match hello {
         Ok(ClientMessage::Hello { protocol, token, instance, name }) => {
@@ -305,26 +304,23 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Option<Admitte
         }
         Ok(_) => Err(Refusal::Protocol("the first message is not a hello".into())),
         Err(ReceiveError::Control(e)) => Err(violation(&e)),
-        Err(e @ ReceiveError::Ended(_)) => {
-            tracing::info!("no viewer: {e}");
-            return None;
-        }
+        Err(e @ ReceiveError::Ended(_)) => return Err(e.to_string()),
     };
     let ((viewer, session, welcome, greeting), name) = match decision {
         Ok(decision) => decision,
         Err(refusal) => {
             guard.0 = None;
-            refuse(&connection, &mut send, refusal).await;
-            return None;
+            if matches!(refusal, Refusal::UnknownToken | Refusal::TokenUsed) {
+                shared.pending.note_wrong_token(remote.ip(), Instant::now());
+            }
+            return Err(refuse(&connection, &mut send, refusal).await);
         }
     };
     let place = Place { shared: shared.clone(), viewer, session };
-    if let Err(e) = control_stream::send(&mut send, &ServerMessage::Welcome(welcome)).await {
-        tracing::info!("no viewer: {e}");
-        return None;
-    }
+    let welcome = ServerMessage::Welcome(welcome);
+    control_stream::send(&mut send, &welcome).await.map_err(|e| e.to_string())?;
     guard.0 = None;
-    Some(Admitted { connection, send, recv, place, name, greeting })
+    Ok(Admitted { connection, send, recv, place, name, greeting })
 }
 
 /// Decides on a hello and takes the place.
@@ -363,6 +359,11 @@ fn welcome(
 }
 
 impl ServerShared {
+    /// Logs that a connection came to nothing.
+    fn tell(&self, remote: SocketAddr, why: &dyn std::fmt::Display) {
+        self.strangers.tell(remote, Instant::now(), why);
+    }
+
     /// The session is over; a newer one of the same viewer stays.
     fn leave(&self, viewer: ViewerId, session: u64) {
         let mut doors = self.doors();
@@ -372,10 +373,9 @@ impl ServerShared {
     }
 }
 
-/// Tells a client why, and closes when it has heard or after a short time.
-async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal) {
+/// Tells a client why, and closes when it has heard or after a short time. Returns the reason.
+async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal) -> String {
     let reason = refusal.to_string();
-    tracing::warn!("refused: {reason}");
     let told = async {
         if control_stream::send(send, &ServerMessage::Refused(refusal)).await.is_ok() {
             let _ = send.finish();
@@ -385,6 +385,11 @@ async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal
     // A client without room to receive never hears why.
     let _ = tokio::time::timeout(REFUSAL_LINGER, told).await;
     connection.close(transport::CLOSE_REFUSED, reason.as_bytes());
+    format!("refused: {reason}")
+}
+
+fn no_hello(times: u32) -> String {
+    format!("no hello within {:?}", times * transport::AUTH_DEADLINE)
 }
 
 /// Closes a connection unless somebody takes it over.

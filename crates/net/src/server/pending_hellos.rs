@@ -1,6 +1,7 @@
 //! Connections before their hello. Their number is bounded, overall and per network. Without room, the one that has
 //! waited longest gives way.
 
+use std::collections::VecDeque;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -17,9 +18,8 @@ pub(super) struct PendingHellos {
 struct Room {
     seats: Vec<Occupied>,
     next: u64,
-    /// Number turned away since the last log line, and the time of that line.
-    num_turned_away: u32,
-    logged_at: Option<Instant>,
+    /// The last wrong tokens: from where and when.
+    wrong: VecDeque<(IpAddr, Instant)>,
 }
 
 #[derive(Debug)]
@@ -40,29 +40,37 @@ pub(super) struct Seat {
 }
 
 impl PendingHellos {
-    /// A seat for a connection from an address. Without a free one, the oldest connection of the same network gives
+    /// A seat for a connection from an address. Who shows many wrong tokens gets none for a while. Without a free one, the oldest connection of the same network gives
     /// way, or the oldest of all if the room is full. It must have had the time that a hello takes. `None` if all are
     /// too young.
     pub(super) fn enter(self: &Arc<Self>, from: IpAddr, now: Instant) -> Option<Seat> {
         let from = place_of(from);
         let mut room = self.room();
+        if room.is_guessing(from, now) {
+            return None;
+        }
         let is_of_place = |seat: &Occupied| seat.from == from;
         let num_of_place = room.seats.iter().filter(|seat| is_of_place(seat)).count();
         let is_crowded = num_of_place >= MAX_OF_PLACE && !from.is_loopback();
         if is_crowded || room.seats.len() >= MAX_PENDING {
             let first = room.seats.iter().position(|seat| !is_crowded || is_of_place(seat));
             let tired = first.filter(|&i| now.duration_since(room.seats[i].since) >= PATIENCE);
-            let Some(tired) = tired else {
-                room.turn_away(now);
-                return None;
-            };
-            room.seats.remove(tired);
+            room.seats.remove(tired?);
         }
         let (sender, stays) = oneshot::channel();
         let number = room.next;
         room.next += 1;
         room.seats.push(Occupied { number, from, since: now, _stays: sender });
         Some(Seat { pending: self.clone(), number, stays })
+    }
+
+    /// A connection from an address has shown a token that admits nobody.
+    pub(super) fn note_wrong_token(&self, from: IpAddr, now: Instant) {
+        let mut room = self.room();
+        if room.wrong.len() == MAX_WRONG {
+            room.wrong.pop_front();
+        }
+        room.wrong.push_back((place_of(from), now));
     }
 
     fn room(&self) -> MutexGuard<'_, Room> {
@@ -72,13 +80,13 @@ impl PendingHellos {
 }
 
 impl Room {
-    /// The limit keeps a flood of connections from flooding the log.
-    fn turn_away(&mut self, now: Instant) {
-        self.num_turned_away += 1;
-        if self.logged_at.is_none_or(|at| now.duration_since(at) >= LOG_PERIOD) {
-            tracing::warn!("too many connections at once: {} turned away", self.num_turned_away);
-            (self.num_turned_away, self.logged_at) = (0, Some(now));
-        }
+    /// Whether this place has shown too many wrong tokens lately. On this machine, many come through one tunnel.
+    fn is_guessing(&self, from: IpAddr, now: Instant) -> bool {
+        let is_recent = |(place, at): &&(IpAddr, Instant)| {
+            *place == from && now.saturating_duration_since(*at) < GUESSING_PERIOD
+        };
+        let most = if from.is_loopback() { 10 * MAX_GUESSES } else { MAX_GUESSES };
+        self.wrong.iter().filter(is_recent).count() >= most
     }
 }
 
@@ -112,8 +120,11 @@ pub(super) const MAX_PENDING: usize = 64;
 const MAX_OF_PLACE: usize = 8;
 /// Time in which nobody gives way: a hello follows a round trip after the handshake, which takes two.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Time between two lines of the log.
-const LOG_PERIOD: Duration = Duration::from_secs(10);
+/// Most wrong tokens of one place in a period.
+const MAX_GUESSES: usize = 10;
+const GUESSING_PERIOD: Duration = Duration::from_secs(30);
+/// Wrong tokens that are remembered.
+const MAX_WRONG: usize = 1024;
 
 #[cfg(test)]
 mod tests {
@@ -162,12 +173,24 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_is_told_of_once_in_a_while() {
+    fn who_guesses_tokens_waits_and_others_do_not() {
         let (room, start) = (Arc::new(PendingHellos::default()), Instant::now());
-        let _seats: Vec<_> = (0..MAX_PENDING).map(|i| room.enter(four(i), start).unwrap()).collect();
-        for _ in 0..100 {
-            assert!(room.enter(four(999), start).is_none());
+        let later = start + GUESSING_PERIOD;
+        for _ in 0..MAX_GUESSES {
+            assert!(room.enter(four(1), start).is_some());
+            room.note_wrong_token(four(1), start);
         }
-        assert_eq!(room.room().num_turned_away, 99, "the first was logged, and no other");
+        assert!(room.enter(four(1), start).is_none() && room.enter(four(2), start).is_some());
+        assert!(room.enter(four(1), later).is_some(), "it may try again");
+        // Others on this machine come through the same tunnel, so there the limit is higher, but there is one.
+        let local = IpAddr::from([127, 0, 0, 1]);
+        let num = (0..1000).take_while(|_| {
+            room.note_wrong_token(local, start);
+            room.enter(local, start).is_some()
+        });
+        assert_eq!(num.count(), 10 * MAX_GUESSES - 1);
+        // What is remembered is bounded.
+        (0..5000).for_each(|i| room.note_wrong_token(four(i), start));
+        assert_eq!(room.room().wrong.len(), MAX_WRONG);
     }
 }

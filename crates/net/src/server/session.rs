@@ -20,7 +20,7 @@ use crate::clock::Clock;
 use crate::control_stream::{self, ReceiveError};
 use crate::journal::Journal;
 use crate::talk::{Talk, Talking, until_due};
-use crate::transport;
+use crate::transport::{self, SILENCE_LIMIT};
 
 /// One viewer's connection, in parts that can go to different tasks. The connection closes when `frames` and
 /// `control` (and their clones) are dropped.
@@ -144,16 +144,18 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     };
     // An unsent session must live on: dropping it would close the connection.
     if let Err(_unsent) = sessions.try_send(session) {
-        return refuse(&connection, &mut send, Refusal::Full(max_viewers)).await;
+        let why = refuse(&connection, &mut send, Refusal::Full(max_viewers)).await;
+        return place.shared.tell(remote, &why);
     }
     let serving = async {
         let violated = tokio::select! {
             () = read_poses(&link, &clock, &heard_in) => None,
             violated = read_messages(&link, &clock, recv, &heard_in) => violated,
             () = write_messages(&link, &clock, &mut send) => None,
+            () = watch_silence(&connection) => None,
         };
         if let Some(refusal) = violated {
-            refuse(&connection, &mut send, refusal).await;
+            tracing::warn!("{}", refuse(&connection, &mut send, refusal).await);
         }
         // When any of these ends, the rest ends with it. A closed connection keeps its own reason.
         connection.close(transport::CLOSE_PROTOCOL, b"the control stream ended");
@@ -161,6 +163,22 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         tracing::info!("viewer gone: {reason}");
     };
     serving.instrument(span).await;
+}
+
+/// Closes a connection from which no packet has come for long: its viewer gives its place up, and may come back. A
+/// viewer keeps its connection alive twice a second.
+async fn watch_silence(connection: &Connection) {
+    let mut tick = tokio::time::interval(SILENCE_CHECK);
+    let mut heard = (tick.tick().await, connection.stats().udp_rx.datagrams);
+    loop {
+        let now = tick.tick().await;
+        let datagrams = connection.stats().udp_rx.datagrams;
+        if datagrams != heard.1 {
+            heard = (now, datagrams);
+        } else if now - heard.0 >= SILENCE_LIMIT {
+            return connection.close(transport::CLOSE_SILENT, b"no packet has come for long");
+        }
+    }
 }
 
 async fn read_poses(link: &ViewerLink, clock: &Clock, heard: &watch::Sender<()>) {
@@ -225,3 +243,6 @@ async fn write_messages(link: &ViewerLink, clock: &Clock, stream: &mut SendStrea
         }
     }
 }
+
+/// Time between two looks at whether packets come.
+const SILENCE_CHECK: Duration = Duration::from_secs(1);

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use isinglass_core::codec::CodecError;
+use isinglass_core::codec::blocks::References;
 use isinglass_core::session::frames::{Asked, FramesServer, bounded};
 use isinglass_core::session::look::GeneratedLook;
 use isinglass_core::wire::PoseRequest;
@@ -10,7 +11,8 @@ use isinglass_net::SessionClosed;
 use tokio::time::Instant;
 
 use super::Viewer;
-use crate::generator::{GenerateError, Generated, Wish};
+use crate::frame_memory::{LEAST_BYTES, bytes_of_making};
+use crate::generator::{FrameOrder, GenerateError, Generated, Wish};
 use crate::pipeline::{Coded, Event, Sent, Ticket};
 
 impl Viewer {
@@ -23,25 +25,56 @@ impl Viewer {
         let now = self.now_micros();
         let talk = self.session.control.talk();
         let request = talk.pose.newest()?;
+        let larger_due = self.frames.larger_due();
+        if larger_due.is_some_and(|due| due <= now) && self.pipeline.is_idle() {
+            self.frames.handle_unanswered();
+        }
         if self.frames.is_answered(request.id, talk.look.version()) {
+            if let Some(due) = larger_due {
+                return Some(Instant::now() + Duration::from_micros(due.saturating_sub(now)));
+            }
             let due = self.frames.finer_due(&talk.look).filter(|_| self.pipeline.is_idle())?;
             return Some(Instant::now() + Duration::from_micros(due.saturating_sub(now)));
         }
-        let wait = self.pipeline.begins_in(bounded(request.intrinsics, talk.look.look().k).num_pixels())?;
+        let look = (**talk.look.look()).clone();
+        let mut num_lists = bounded(request.intrinsics, look.k).num_pixels();
+        let (viewer, moment) = (self.session.viewer, std::time::Instant::now());
+        let others = self.common.generator.company.has_others(viewer, moment);
+        let shared = self.sizes.lists_beside_others(moment).filter(|most| others && *most < num_lists);
+        self.frames.bound(shared.unwrap_or(usize::MAX), shared.is_some());
+        num_lists = self.frames.size_of(&request, look.k).num_pixels();
+        let wait = self.pipeline.begins_in(num_lists)?;
         if wait > Duration::ZERO {
             return Some(Instant::now() + wait);
         }
+        let wanted = |lists| bytes_of_making(self.sizes.expected_segments(&look, lists), lists);
+        let memory = &self.common.memory;
+        let mut held = memory.hold(wanted(num_lists), LEAST_BYTES);
+        if held.bytes() < wanted(num_lists) {
+            // What was sent already is worth less than what comes.
+            drop(held);
+            self.resting = None;
+            self.sent.keep_newest();
+            self.held.set(self.sent.num_bytes() as u64);
+            held = memory.hold(wanted(num_lists), LEAST_BYTES);
+            let share = held.bytes() as f64 / wanted(num_lists) as f64;
+            if share < 1.0 {
+                num_lists = (num_lists as f64 * share) as usize;
+                self.frames.bound(num_lists, shared.is_some());
+            }
+        }
         let asked = self.frames.begin(now, &request, &talk.look, &self.present.bounds);
         let (generator, scene) = (self.common.generator.clone(), self.present.scene);
-        let (look, wish) = ((**talk.look.look()).clone(), Wish::default());
-        let (header, wanted) = (asked.header, wish.clone());
-        let making = async move { generator.generate(scene, look, header, wanted).await };
+        let wish = Wish::default();
+        let order = FrameOrder { viewer, scene, look, header: asked.header, wish: wish.clone(), held };
+        let making = async move { generator.generate(order).await };
         self.pipeline.generate(asked, wish, making);
         None
     }
 
     /// A newer pose has come: what is only for the one before is given up.
     pub(super) fn note_pose(&mut self, newest: &PoseRequest) {
+        self.sizes.note_pose(newest, std::time::Instant::now());
         self.pipeline.handle_decoding(newest.decode_nanos_per_list);
         self.give_up_outdated(newest);
         let now = self.now_micros();
@@ -84,12 +117,18 @@ impl Viewer {
         asked: Option<Asked>,
         generated: Option<Result<Generated, GenerateError>>,
     ) -> bool {
-        let (Some(asked), Some(generated)) = (asked, generated) else { return false };
+        let (Some(mut asked), Some(generated)) = (asked, generated) else { return false };
         let frame = asked.header.frame;
         match generated {
             Ok(generated) => {
                 self.frames.handle_generated(generated.generate_micros);
+                // To keep to its memory, it may be smaller.
+                asked.header.camera = generated.frame.header.camera;
                 let (now, version) = (self.now_micros(), asked.header.look);
+                if version == self.session.control.talk().quietly().look.version() {
+                    let look = self.session.control.talk().quietly().look.look().clone();
+                    self.sizes.note_frame(&look, &generated);
+                }
                 let look = self.session.talk().look.handle_generated(now, version, generated.is_draft);
                 match look {
                     GeneratedLook::Usable => self.pipeline.put_made(asked, generated),
@@ -128,6 +167,11 @@ impl Viewer {
             Some(Ok(coded)) => {
                 if let Some(reference) = &coded.reference {
                     self.sent.insert(reference.clone());
+                    self.held.set(self.sent.num_bytes() as u64);
+                    if self.common.memory.room() == 0 {
+                        self.sent.keep_newest();
+                        self.held.set(self.sent.num_bytes() as u64);
+                    }
                 }
                 let Ticket { sending, reference, .. } = &coded.ticket;
                 let (bytes, micros) = (coded.num_bytes(), coded.encode_micros);
@@ -153,6 +197,12 @@ impl Viewer {
             self.frames.handle_sent(sent.ticket.sending.clone());
         }
         self.resting.is_some()
+    }
+
+    /// Forgets what was sent.
+    pub(super) fn forget_sent(&mut self) {
+        (self.resting, self.sent) = (None, References::default());
+        self.held.set(0);
     }
 
     /// Sends the frame of a resting camera again, finer, if it is time.

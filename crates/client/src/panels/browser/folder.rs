@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
+use isinglass_core::text::is_control;
 use isinglass_formats::{Content, content_of};
 
 use crate::view::Waker;
@@ -138,7 +139,7 @@ fn read(path: &Path, is_left: &AtomicBool) -> std::io::Result<Vec<Entry>> {
         // A link counts as its target; a broken link is a file that cannot be read.
         let metadata = std::fs::metadata(entry.path()).ok();
         entries.push(Entry {
-            name: name.chars().map(|c| if c.is_control() { '?' } else { c }).collect(),
+            name: name.chars().map(|c| if is_control(c) { '?' } else { c }).collect(),
             path: entry.path(),
             is_folder: metadata.as_ref().is_some_and(std::fs::Metadata::is_dir),
             bytes: metadata.map_or(0, |m| m.len()),

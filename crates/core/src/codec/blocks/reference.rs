@@ -131,6 +131,19 @@ impl References {
         }
     }
 
+    /// The size of all in bytes, by the count that sender and receiver share.
+    pub fn num_bytes(&self) -> usize {
+        self.num_bytes
+    }
+
+    /// Keeps only the newest frame. A sender may keep fewer than its receiver.
+    pub fn keep_newest(&mut self) {
+        if let Some(newest) = self.newest_last.pop_back() {
+            self.num_bytes = newest.num_bytes();
+            self.newest_last = VecDeque::from([newest]);
+        }
+    }
+
     /// Forgets all frames.
     pub fn clear(&mut self) {
         *self = Self::default();

@@ -5,6 +5,7 @@
 
 pub mod budget;
 pub mod close;
+mod pieces;
 pub mod projection;
 mod stream;
 mod visibility_merge;
@@ -14,11 +15,10 @@ mod tests;
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use self::budget::Budget;
+pub use self::pieces::{Making, UnfinishedFrame, gather_rows};
 use super::march::{Lattice, Marcher, Scene, Sink, Step, Texels, with_texels};
-use crate::camera::{Basis, Intrinsics};
+use crate::camera::Basis;
 use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::space::Ray;
@@ -75,9 +75,9 @@ pub fn generate_while(
     budget: &mut Budget,
     wanted: Wanted<'_>,
 ) -> Option<LayeredFrame> {
-    with_texels!(scene, texels => {
-        generate_with(scene, &Marcher::new(scene, texels), header, budget, wanted)
-    })
+    let mut frame = UnfinishedFrame::new(scene, header);
+    let is_whole = wanted() && frame.advance(scene, budget, usize::MAX, wanted) == Making::Whole;
+    is_whole.then(|| frame.finish(budget))
 }
 
 /// Generates a layered frame with a laboratory's rule, at most `header.k` segments per list. The mode must composite
@@ -90,115 +90,15 @@ pub fn generate_by(
 ) -> Option<LayeredFrame> {
     let header = FrameHeader { k: clamp_k(header.k), mode: scene.settings.mode, ..header };
     with_texels!(scene, texels => {
-        gather_lists(scene, &Marcher::new(scene, texels), header, wanted, |of, list| {
-            rule.list(of, header.k.into(), list);
-        })
+        let marcher = Marcher::new(scene, texels);
+        let fill = |of: &Listing<'_, _>, list: &mut SegmentList| rule.list(of, header.k.into(), list);
+        let limits = (usize::MAX, wanted);
+        pieces::whole(header, || pieces::rows_of_lists(scene, &marcher, header, 0, limits, fill), wanted)
     })
-}
-
-fn generate_with<T: Texels>(
-    scene: &Scene,
-    marcher: &Marcher<'_, T>,
-    header: FrameHeader,
-    budget: &mut Budget,
-    wanted: Wanted<'_>,
-) -> Option<LayeredFrame> {
-    let mode = scene.settings.mode;
-    let asked = FrameHeader { k: clamp_k(header.k), mode, ..header };
-    let longest = budget::longest_list(asked.k.into());
-    let threshold = budget.threshold(&asked, scene.volume.bounds().radius());
-    let threshold = threshold.unwrap_or_else(|| budget::count(scene, marcher, &asked));
-    let header = FrameHeader { k: longest as u8, ..asked };
-    let frame = gather_lists(scene, marcher, header, wanted, |of, list| of.list(longest, threshold, list))?;
-    budget.note(&asked, threshold, &frame);
-    Some(frame)
 }
 
 fn clamp_k(k: u8) -> u8 {
     k.clamp(1, MAX_K as u8)
-}
-
-/// Collects the lists that `fill` makes, one for each ray that meets the volume.
-fn gather_lists<T: Texels>(
-    scene: &Scene,
-    marcher: &Marcher<'_, T>,
-    header: FrameHeader,
-    wanted: Wanted<'_>,
-    fill: impl Fn(&Listing<'_, T>, &mut SegmentList) + Sync,
-) -> Option<LayeredFrame> {
-    let camera = header.camera;
-    let basis = camera.basis();
-    gather_rows(header, wanted, |y, row| {
-        let mut list = SegmentList::default();
-        for x in 0..camera.intrinsics.width {
-            if let Some(of) = Listing::new(scene, marcher, &basis, camera.near, (x, y)) {
-                list.len = 0;
-                fill(&of, &mut list);
-                close::list(&camera, header.mode.compositing(), &mut list, of.s_per_depth, |list| {
-                    row.extend(list);
-                });
-            }
-            row.offsets.push(row.depth.len() as u32);
-        }
-    })
-}
-
-/// Collects the rows that `fill` makes in parallel: it pushes the segments and the end of each list of row `y`.
-/// Returns `None` as soon as the frame is no longer wanted.
-pub fn gather_rows(
-    header: FrameHeader,
-    wanted: Wanted<'_>,
-    fill: impl Fn(u32, &mut LayeredFrame) + Sync,
-) -> Option<LayeredFrame> {
-    let Intrinsics { width, height, .. } = header.camera.intrinsics;
-    let rows: Vec<LayeredFrame> = (0..height)
-        .into_par_iter()
-        .map(|y| {
-            if !wanted() {
-                return None;
-            }
-            let mut row = LayeredFrame {
-                header,
-                offsets: Vec::with_capacity(width as usize),
-                depth: Vec::new(),
-                c_rg: Vec::new(),
-                c_b_tau: Vec::new(),
-            };
-            fill(y, &mut row);
-            Some(row)
-        })
-        .collect::<Option<_>>()?;
-    let total = rows.iter().map(LayeredFrame::num_segments).sum();
-    let mut frame = LayeredFrame {
-        depth: vec![0; total],
-        c_rg: vec![0; total],
-        c_b_tau: vec![0; total],
-        ..LayeredFrame::empty(header)
-    };
-    // Fresh memory arrives page by page, which takes longer than copying, so this runs in parallel too.
-    let (mut depth, mut c_rg, mut c_b_tau) =
-        (&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]);
-    let mut first = 0;
-    let mut places = Vec::with_capacity(rows.len());
-    for (row, offsets) in rows.into_iter().zip(frame.offsets[1..].chunks_mut(width as usize)) {
-        let num = row.num_segments();
-        let planes = [&mut depth, &mut c_rg, &mut c_b_tau].map(|plane| {
-            let (own, rest) = std::mem::take(plane).split_at_mut(num);
-            *plane = rest;
-            own
-        });
-        places.push((row, first, offsets, planes));
-        first += num as u32;
-    }
-    places.into_par_iter().for_each(|(row, first, offsets, [depth, c_rg, c_b_tau])| {
-        for (offset, in_row) in offsets.iter_mut().zip(&row.offsets) {
-            *offset = first + in_row;
-        }
-        depth.copy_from_slice(&row.depth);
-        c_rg.copy_from_slice(&row.c_rg);
-        c_b_tau.copy_from_slice(&row.c_b_tau);
-    });
-    Some(frame)
 }
 
 /// A ray that meets the volume, with what is known of its frame.

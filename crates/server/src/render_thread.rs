@@ -1,0 +1,246 @@
+//! The thread that owns the renderer. It works in pieces, and takes the next one from whoever has used least time.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
+
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::cancel::Wanted;
+use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::look::Look;
+use isinglass_core::session::admission::ViewerId;
+use isinglass_core::session::frames::within;
+use isinglass_core::volume::Detail;
+use isinglass_net::{AfterWork, Work};
+use isinglass_render::{Piece, Renderer};
+use tokio::sync::mpsc;
+
+use crate::company::Company;
+use crate::frame_memory::{bytes_of, max_segments};
+use crate::generator::{Begun, FrameJob, GenerateError, Generated, Job, Rows, RowsJob};
+use crate::lights::Lights;
+use crate::selection::SceneNumber;
+use crate::turns::Turns;
+
+pub(crate) struct RenderThread {
+    pub(crate) renderer: Renderer,
+    pub(crate) look: Look,
+    pub(crate) scene: SceneNumber,
+    pub(crate) lights: Lights,
+    pub(crate) after_work: AfterWork,
+    pub(crate) company: Company,
+}
+
+/// Work that waits for a turn.
+enum Waiting {
+    Frame(Box<FrameJob>),
+    Rows(Box<RowsJob>),
+}
+
+impl Waiting {
+    fn viewer(&self) -> ViewerId {
+        match self {
+            Self::Frame(job) => job.order.viewer,
+            Self::Rows(job) => job.viewer,
+        }
+    }
+
+    /// Whether somebody waits for it. A closed reply means that the viewer has left.
+    fn is_wanted(&self) -> bool {
+        match self {
+            Self::Frame(job) => !job.reply.is_closed() && job.order.wish.holds(),
+            Self::Rows(job) => !job.reply.is_closed(),
+        }
+    }
+
+    /// Answers that it was given up, as far as anybody listens.
+    fn give_up(self) {
+        if let Self::Frame(job) = self {
+            let _ = job.reply.send(Err(GenerateError::GivenUp));
+        }
+    }
+}
+
+impl RenderThread {
+    /// Works until nobody can order anything.
+    pub(crate) fn work(&mut self, jobs: &mut mpsc::Receiver<Job>) {
+        let (mut turns, mut waiting) = (Turns::default(), Vec::<Waiting>::new());
+        loop {
+            let first = if waiting.is_empty() { jobs.blocking_recv() } else { jobs.try_recv().ok() };
+            if first.is_none() && waiting.is_empty() {
+                return;
+            }
+            for job in first.into_iter().chain(std::iter::from_fn(|| jobs.try_recv().ok())) {
+                self.take(job, &mut turns, &mut waiting);
+            }
+            waiting.extract_if(.., |work| !work.is_wanted()).for_each(Waiting::give_up);
+            let Some(place) = turns.choose(waiting.iter().map(Waiting::viewer)) else { continue };
+            let work = waiting.remove(place);
+            let viewer = work.viewer();
+            let has_others = waiting.iter().any(|other| other.viewer() != viewer);
+            let started = Instant::now();
+            self.company.note(viewer, started);
+            // Who comes meanwhile may have a better claim.
+            let goes_on = || started.elapsed() < TURN || !(has_others || !jobs.is_empty());
+            let left = self.turn(work, &goes_on);
+            turns.charge(viewer, started.elapsed().as_micros() as u64);
+            if let Some(work) = left {
+                waiting.insert(place, work);
+            }
+        }
+    }
+
+    fn take(&mut self, job: Job, turns: &mut Turns, waiting: &mut Vec<Waiting>) {
+        let work = match job {
+            Job::Frame(job) => Waiting::Frame(job),
+            Job::Rows(job) => Waiting::Rows(job),
+            Job::Replace { state, reply } => {
+                *self = *state;
+                let _ = reply.send(());
+                return;
+            }
+        };
+        if !waiting.iter().any(|other| other.viewer() == work.viewer()) {
+            turns.enter(work.viewer());
+        }
+        waiting.push(work);
+    }
+
+    /// Does a piece of work while `goes_on`, and returns what is left of it.
+    fn turn(&mut self, work: Waiting, goes_on: Wanted<'_>) -> Option<Waiting> {
+        match work {
+            Waiting::Frame(mut job) => {
+                let made = match self.attempt(|state| state.advance(&mut job, goes_on)) {
+                    Ok(None) => return Some(Waiting::Frame(job)),
+                    Ok(Some(generated)) => Ok(generated),
+                    Err(e) => Err(e),
+                };
+                let _ = job.reply.send(made);
+            }
+            Waiting::Rows(job) => {
+                let made = self.attempt(|state| state.rows(&job));
+                let _ = job.reply.send(made);
+            }
+        }
+        None
+    }
+
+    /// A panic in one frame must not end the service for everyone.
+    fn attempt<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<T, GenerateError>,
+    ) -> Result<T, GenerateError> {
+        let attempt = catch_unwind(AssertUnwindSafe(|| work(self)));
+        let result = attempt.unwrap_or(Err(GenerateError::Panicked));
+        if result.as_ref().is_err_and(GenerateError::is_lost) {
+            tracing::error!("rendering on the CPU from now on: the renderer is lost");
+            self.renderer = Renderer::on_cpu(self.renderer.scene().clone());
+        }
+        result
+    }
+
+    /// Makes a piece of a frame; the whole frame with the last one.
+    fn advance(
+        &mut self,
+        job: &mut FrameJob,
+        goes_on: Wanted<'_>,
+    ) -> Result<Option<Generated>, GenerateError> {
+        let started = Instant::now();
+        let FrameJob { order, begun, spent_micros, .. } = job;
+        if order.scene != self.scene {
+            return Err(GenerateError::OtherVolume);
+        }
+        if begun.as_ref().is_none_or(|begun| begun.frame.needs_its_scene()) {
+            self.prepare(order.scene, &order.look, None)?;
+        }
+        let begun = match begun {
+            Some(begun) => begun,
+            None => {
+                let is_draft = !self.is_final();
+                begun.insert(Begun { frame: self.renderer.begin(order.header)?, is_draft })
+            }
+        };
+        let max_segments = max_segments(order.held.bytes(), order.header.camera.intrinsics.num_pixels());
+        let wanted = || order.wish.holds();
+        let piece = self.renderer.advance(&mut begun.frame, max_segments, goes_on, &wanted)?;
+        *spent_micros += started.elapsed().as_micros() as u64;
+        match piece {
+            Piece::Unfinished => Ok(None),
+            Piece::GivenUp => Err(GenerateError::GivenUp),
+            Piece::TooLarge(expected) => {
+                let camera = &order.header.camera;
+                let share = max_segments as f64 / expected.max(1) as f64;
+                let num_lists = camera.intrinsics.num_pixels() as f64 * (share * LESS).min(LESS);
+                let intrinsics = within(camera.intrinsics, num_lists as usize);
+                tracing::debug!(?intrinsics, "a smaller frame, within its memory");
+                order.header.camera =
+                    Camera::new(camera.pose, intrinsics, &self.renderer.scene().volume.bounds());
+                job.begun = None;
+                Ok(None)
+            }
+            Piece::Whole(frame) => {
+                let ended = Instant::now();
+                self.after_work.note(Work::Generate, Duration::from_micros(*spent_micros));
+                *spent_micros += ended.elapsed().as_micros() as u64;
+                let mut held = order.held.take();
+                held.set(bytes_of(frame.num_segments(), frame.offsets.len() - 1));
+                let (generate_micros, is_draft) = (*spent_micros, begun.is_draft);
+                Ok(Some(Generated { frame, _held: held, generate_micros, is_draft }))
+            }
+        }
+    }
+
+    /// Renders as many rows of a picture as take about as long as a turn.
+    fn rows(&mut self, job: &RowsJob) -> Result<Rows, GenerateError> {
+        let started = Instant::now();
+        self.prepare(job.scene, &job.look, job.lit.as_ref())?;
+        let Intrinsics { width, height, .. } = job.camera.intrinsics;
+        let most = match self.renderer {
+            Renderer::Gpu(_) => GPU_PIXELS,
+            Renderer::Cpu(_) => CPU_PIXELS,
+        };
+        let num_pixels = job.num_pixels.unwrap_or(most / 8).min(most);
+        let end = job.first.saturating_add((num_pixels / width.max(1)).max(1)).min(height);
+        let picture = self.renderer.render_rows(&job.camera, job.first..end)?;
+        Ok(Rows { picture, micros: started.elapsed().as_micros() as u64 })
+    }
+
+    /// Sets a look: with all of its shade if that is known or given, else with a draft.
+    fn prepare(&mut self, scene: SceneNumber, look: &Look, lit: Option<&Scene>) -> Result<(), GenerateError> {
+        if scene != self.scene {
+            return Err(GenerateError::OtherVolume);
+        }
+        let is_set = self.look.marches_like(look);
+        if is_set && self.is_final() {
+            // This marks the look as used, so that it is not evicted first.
+            self.lights.known(look);
+            return Ok(());
+        }
+        match lit.cloned().or_else(|| self.lights.known(look)) {
+            Some(lit) => self.renderer.set_scene(lit)?,
+            None if is_set => return Ok(()),
+            None => {
+                let settings = MarchSettings { detail: Detail::Draft, ..look.march_settings() };
+                let has_any = self.renderer.scene().illumination.has_occlusion();
+                let occluded = self.lights.occluded().filter(|_| look.lighting.is_on() && !has_any);
+                match occluded {
+                    Some(scene) => self.renderer.set_scene(scene.with_look(&look.transfer, settings))?,
+                    None => self.renderer.set_look(&look.transfer, settings)?,
+                }
+            }
+        }
+        self.look = look.clone();
+        Ok(())
+    }
+
+    fn is_final(&self) -> bool {
+        self.renderer.scene().illumination.is_final()
+    }
+}
+
+/// Time of a turn while others wait.
+const TURN: Duration = Duration::from_millis(25);
+/// Most pixels of a picture in a piece.
+const CPU_PIXELS: u32 = 1 << 16;
+const GPU_PIXELS: u32 = 1 << 20;
+/// How much smaller than expected a frame is made that was too large.
+const LESS: f64 = 0.85;
