@@ -17,6 +17,26 @@ use isinglass_net::{Client, ClientOptions, Link};
 const RENDER: &str = "--backend cpu --size 16x16 -o out.png";
 
 #[test]
+fn a_header_shows_a_file_outside_its_folder_only_if_asked() {
+    let bench = Bench::new();
+    bench.write("secret.raw", [9; 64]);
+    std::fs::create_dir(bench.path("data")).unwrap();
+    let header =
+        "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 4 4 4\nencoding: raw\ndata file: ../secret.raw\n";
+    bench.write("data/scan.nhdr", header);
+    for command in ["info data/scan.nhdr", "serve data/scan.nhdr --listen 127.0.0.1:0"] {
+        let words = ["data/scan.nhdr", "../secret.raw", "--foreign-files"];
+        assert_failed(command, &bench.run(command), 1, &words);
+    }
+    // The control: allowed, it is read, and a note names it.
+    for allowed in ["--foreign-files", "--foreign-files=on"] {
+        let info = bench.ok(&format!("info data/scan.nhdr {allowed}"));
+        assert!(info.contains("note: the voxels are in the file \"../secret.raw\""), "{info}");
+    }
+    assert_failed("off", &bench.run("info data/scan.nhdr --foreign-files=off"), 1, &["--foreign-files"]);
+}
+
+#[test]
 fn bad_usage_is_code_2() {
     let bench = Bench::new();
     for (line, words) in [

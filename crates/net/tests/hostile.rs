@@ -271,8 +271,56 @@ async fn mutated_chunks_cost_their_frame_and_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_silent_viewer_gives_its_place_up() {
+    let server = server();
+    let links = [0, 1].map(|_| server.mint_link("127.0.0.1").unwrap());
+    let mut peer = raw(&links[0]).await;
+    peer.send.write_all(&control::encode(&hello(links[0].token.clone(), t(), "x")).unwrap()).await.unwrap();
+    assert!(matches!(peer.answer().await, ServerMessage::Welcome(_)));
+    // The control rests, too, but keeps its connection alive.
+    let resting = connect(&links[1]);
+    resting.wait_connected(Duration::from_secs(20)).unwrap();
+    assert_eq!(server.num_viewers(), 2);
+    // The server says so long before QUIC's own timeout, which says nothing.
+    assert!(peer.close_reason().await.contains("no packet has come"));
+    until("its place", || (server.num_viewers() == 1).then_some(())).await;
+    assert_eq!(resting.state(), State::Connected);
+    // Its token still lets it come back.
+    assert_eq!(server.num_used_links(), 2);
+}
+
+/// Each welcome is followed by garbage.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_breaks_the_protocol_after_each_welcome_is_not_flooded() {
+    let greeting = greeting();
+    let welcome = ServerMessage::Welcome(Box::new(isinglass_core::wire::Welcome {
+        ticket: t(),
+        volume: greeting.volume,
+        look_version: greeting.look_version,
+        look: greeting.look,
+        max_side: 8192,
+        max_poses_per_second: 240,
+    }));
+    let bytes = [control::encode(&welcome).unwrap(), vec![0xff; 4]].concat();
+    let (link, num) = forged_server(bytes);
+    let _client = connect(&link);
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    // After waits of 1/4, 1/2, 1 and 2 s, each up to a quarter shorter, the fifth is not yet over. It does try again.
+    let num = num.load(std::sync::atomic::Ordering::Relaxed);
+    assert!((2..=5).contains(&num), "{num} connections");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_speaks_garbage_is_given_up() {
-    // A server with the right certificate that answers with an oversized message.
+    let (link, _) = forged_server(vec![0xff; 4]);
+    let client = connect(&link);
+    let error = client.wait_connected(Duration::from_secs(20)).unwrap_err();
+    assert!(matches!(&error, ConnectError::Protocol(line) if line.contains("4294967295")), "{error}");
+}
+
+/// A server with the right certificate that says these bytes on the control stream, and the number of its connections.
+fn forged_server(bytes: Vec<u8>) -> (Link, Arc<std::sync::atomic::AtomicU32>) {
+    let num = Arc::new(std::sync::atomic::AtomicU32::new(0));
     let identity = rcgen::KeyPair::generate().unwrap();
     let certificate =
         rcgen::CertificateParams::new(vec!["isinglass".into()]).unwrap().self_signed(&identity).unwrap();
@@ -290,17 +338,16 @@ async fn a_server_that_speaks_garbage_is_given_up() {
     let config = quinn::ServerConfig::with_crypto(Arc::new(tls));
     let endpoint = Endpoint::server(config, ([127, 0, 0, 1], 0).into()).unwrap();
     let port = endpoint.local_addr().unwrap().port();
+    let counter = num.clone();
     tokio::spawn(async move {
         while let Some(incoming) = endpoint.accept().await {
+            counter.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
             let Ok(connection) = incoming.await else { continue };
             let Ok((mut send, _recv)) = connection.accept_bi().await else { continue };
-            send.write_all(&[0xff; 4]).await.unwrap();
+            let _ = send.write_all(&bytes).await;
             connection.closed().await;
         }
     });
     let fingerprint = format!("sha256:{hex}").parse().unwrap();
-    let link = Link { host: "127.0.0.1".into(), port, token: t(), fingerprint, state: None };
-    let client = connect(&link);
-    let error = client.wait_connected(Duration::from_secs(20)).unwrap_err();
-    assert!(matches!(&error, ConnectError::Protocol(line) if line.contains("4294967295")), "{error}");
+    (Link { host: "127.0.0.1".into(), port, token: t(), fingerprint, state: None }, num)
 }

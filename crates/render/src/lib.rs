@@ -350,7 +350,10 @@ impl Renderer {
         let (Self::Cpu(renderer), Some(Rows { scene, number, frame: made })) = (&mut *self, &mut frame.rows)
         else {
             let made = self.generate_while(frame.header, wanted)?;
-            return Ok(made.map_or(Piece::GivenUp, Piece::Whole));
+            return Ok(match made {
+                Some(made) if made.num_segments() > max_segments => Piece::TooLarge(made.num_segments()),
+                made => made.map_or(Piece::GivenUp, Piece::Whole),
+            });
         };
         // What another scene has spent says nothing about this one.
         let mut other = Budget::default();

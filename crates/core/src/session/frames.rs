@@ -74,6 +74,8 @@ pub struct FramesServer {
     has_failed: bool,
     /// Most lists of the next frame, beside the limits of all frames.
     max_lists: usize,
+    /// Whether that is only for a moving camera.
+    is_bound_in_motion: bool,
     /// Whether the newest frame is smaller than it will be at rest.
     is_small: bool,
 }
@@ -93,6 +95,7 @@ impl FramesServer {
             num_given_up: 0,
             has_failed: false,
             max_lists: usize::MAX,
+            is_bound_in_motion: false,
             is_small: false,
         }
     }
@@ -107,9 +110,9 @@ impl FramesServer {
         self.answered == Some((pose, version))
     }
 
-    /// Bounds the next frame. `is_small` if the bound is only for a moving camera: at rest a larger frame follows.
-    pub fn bound(&mut self, max_lists: usize, is_small: bool) {
-        (self.max_lists, self.is_small) = (max_lists, is_small);
+    /// Bounds the next frame. If that is only for a moving camera, a larger frame follows at rest.
+    pub fn bound(&mut self, max_lists: usize, only_in_motion: bool) {
+        (self.max_lists, self.is_bound_in_motion) = (max_lists, only_in_motion);
     }
 
     /// The size of the next frame for this request.
@@ -135,6 +138,7 @@ impl FramesServer {
         let is_again = self.answered.is_some_and(|(pose, _)| pose == request.id);
         self.answered = Some((request.id, look.version()));
         (self.rests, self.keeps_look) = (true, true);
+        self.is_small = self.is_bound_in_motion;
         // This is the time between frames of a moving camera.
         let since = self.begun_at.replace(now_micros).map(|at| now_micros.saturating_sub(at));
         if let Some(interval) = since.filter(|interval| *interval < LONG_REST_MICROS) {

@@ -30,7 +30,8 @@ impl Viewer {
             self.frames.handle_unanswered();
         }
         if self.frames.is_answered(request.id, talk.look.version()) {
-            if let Some(due) = larger_due {
+            if larger_due.is_some() {
+                let due = larger_due.filter(|_| self.pipeline.is_idle())?;
                 return Some(Instant::now() + Duration::from_micros(due.saturating_sub(now)));
             }
             let due = self.frames.finer_due(&talk.look).filter(|_| self.pipeline.is_idle())?;
