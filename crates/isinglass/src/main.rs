@@ -14,6 +14,7 @@ mod library;
 mod light_args;
 mod local;
 mod memory;
+mod metrics;
 mod report;
 mod state_args;
 mod window_args;

@@ -16,6 +16,7 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::ServeError;
 use crate::company::Company;
+use crate::counters::Counters;
 use crate::frame_memory::Held;
 use crate::lights::Lights;
 use crate::render_thread::RenderThread;
@@ -29,6 +30,7 @@ pub(crate) struct Generator {
     pictures: Arc<Semaphore>,
     /// Who has had work lately.
     pub(crate) company: Company,
+    counters: Counters,
 }
 
 pub(crate) struct Generated {
@@ -153,6 +155,7 @@ impl Generator {
         look: Look,
         lights: Lights,
         after_work: AfterWork,
+        counters: Counters,
     ) -> Result<Self, ServeError> {
         let company = Company::default();
         let renderer = renderer_of(backend, scene)?;
@@ -163,6 +166,7 @@ impl Generator {
             lights,
             after_work: after_work.clone(),
             company: company.clone(),
+            counters: counters.clone(),
         };
         // The march has threads of its own: on shared ones, encoding a frame would wait until the next one is
         // generated.
@@ -173,7 +177,7 @@ impl Generator {
             .name("generator".into())
             .spawn(move || threads.install(work))
             .map_err(ServeError::Thread)?;
-        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)), company })
+        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)), company, counters })
     }
 
     /// The ordered frame, while its wish holds. It may be smaller than its header says, to keep to its memory. `None`
@@ -204,6 +208,7 @@ impl Generator {
             lights,
             after_work: self.after_work.clone(),
             company: self.company.clone(),
+            counters: self.counters.clone(),
         });
         self.jobs.send(Job::Replace { state, reply }).await.is_ok() && answer.await.is_ok()
     }

@@ -7,6 +7,7 @@
 //! the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
 mod company;
+mod counters;
 mod frame_memory;
 mod generator;
 mod lights;
@@ -36,6 +37,7 @@ use frame_memory::FrameMemory;
 use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
 
+pub use counters::Counters;
 pub use selection::{Loaded, Loader, Survey};
 
 /// Options of a server.
@@ -103,6 +105,7 @@ pub struct RunningServer {
     address: SocketAddr,
     commands: mpsc::Sender<Command>,
     attendance: watch::Receiver<Attendance>,
+    counters: Counters,
     newest: watch::Receiver<Option<Journal>>,
     serving: JoinHandle<()>,
 }
@@ -137,7 +140,9 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     let options = isinglass_net::ServerOptions { max_viewers, clock };
     let server = Server::bind(listen, &identity, options, present.greeting.clone())?;
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
-    let generator = Generator::start(&backend, scene, look, present.lights.clone(), after_work.clone())?;
+    let counters = Counters::new(server.refusals());
+    let lights = present.lights.clone();
+    let generator = Generator::start(&backend, scene, look, lights, after_work.clone(), counters.clone())?;
     let (commands, receiver) = mpsc::channel(1);
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);
@@ -156,12 +161,22 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
     let coders = pipeline::coders()?;
     let slice_makers = Arc::new(slices::SliceMakers::new()?);
     let memory = FrameMemory::new(frame_memory);
-    let common =
-        serving::Common { generator, present, load, orders, plan, after_work, coders, slice_makers, memory };
+    let common = serving::Common {
+        generator,
+        present,
+        load,
+        orders,
+        plan,
+        after_work,
+        coders,
+        slice_makers,
+        memory,
+        counters: counters.clone(),
+    };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
     let serving = tokio::spawn(serving::serve(server, reader, common, receiver, attendance_in, newest_in));
-    Ok(RunningServer { address, commands, attendance, newest, serving })
+    Ok(RunningServer { address, commands, attendance, counters, newest, serving })
 }
 
 /// Most orders that wait: the newest counts, and each is taken at once.
@@ -176,6 +191,11 @@ impl RunningServer {
     /// The present viewers, with notification of changes.
     pub fn attendance(&self) -> watch::Receiver<Attendance> {
         self.attendance.clone()
+    }
+
+    /// What the server has done so far.
+    pub fn counters(&self) -> Counters {
+        self.counters.clone()
     }
 
     /// The frames' lives of the newest viewer.

@@ -15,6 +15,7 @@ use isinglass_render::{Piece, Renderer};
 use tokio::sync::mpsc;
 
 use crate::company::Company;
+use crate::counters::Counters;
 use crate::frame_memory::{bytes_of, max_segments};
 use crate::generator::{Begun, FrameJob, GenerateError, Generated, Job, Rows, RowsJob};
 use crate::lights::Lights;
@@ -28,6 +29,7 @@ pub(crate) struct RenderThread {
     pub(crate) lights: Lights,
     pub(crate) after_work: AfterWork,
     pub(crate) company: Company,
+    pub(crate) counters: Counters,
 }
 
 /// Work that waits for a turn.
@@ -82,7 +84,9 @@ impl RenderThread {
             // Who comes meanwhile may have a better claim.
             let goes_on = || started.elapsed() < TURN || !(has_others || !jobs.is_empty());
             let left = self.turn(work, &goes_on);
-            turns.charge(viewer, started.elapsed().as_micros() as u64);
+            let micros = started.elapsed().as_micros() as u64;
+            turns.charge(viewer, micros);
+            self.counters.note_rendering(micros);
             if let Some(work) = left {
                 waiting.insert(place, work);
             }

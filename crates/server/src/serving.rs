@@ -18,6 +18,7 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use crate::counters::Counters;
 use crate::frame_memory::{FrameMemory, Held};
 use crate::generator::Generator;
 use crate::pipeline::{Coders, Pipeline, Sent};
@@ -41,6 +42,7 @@ pub(crate) struct Common {
     /// One for each slice that may be made at a time.
     pub(crate) slice_makers: Arc<SliceMakers>,
     pub(crate) memory: FrameMemory,
+    pub(crate) counters: Counters,
 }
 
 /// Admits viewers until told to close.

@@ -14,6 +14,7 @@ use crate::args::{BackendArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_m
 use crate::given::Given;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
+use crate::metrics::{self, parse_loopback};
 use crate::report::print;
 use crate::state_args::StateArgs;
 
@@ -43,6 +44,9 @@ pub(crate) struct ServeArgs {
     /// Show only this part: viewers cannot choose another channel, time, level or series
     #[arg(long)]
     fixed: bool,
+    /// Answer GET /metrics with numbers for Prometheus at this address, on loopback only
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_loopback)]
+    metrics: Option<SocketAddr>,
     /// Print the links as JSON, one object per line
     #[arg(long)]
     json: bool,
@@ -85,6 +89,13 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         note(&format!("serving {source} at {address} on {description}; each link lets in one viewer; Ctrl-C ends it"));
         if args.host.is_none() && address.ip().is_unspecified() {
             note("the links are for viewers on this computer; others need --host, the name or address they reach it by");
+        }
+        if let Some(wanted) = args.metrics {
+            let listener = tokio::net::TcpListener::bind(wanted).await;
+            let listener = listener.with_context(|| format!("cannot listen on {wanted} for --metrics"))?;
+            note(&format!("numbers for Prometheus are at http://{}/metrics", listener.local_addr()?));
+            let (attendance, counters) = (server.attendance(), server.counters());
+            tokio::spawn(metrics::answer_all(listener, move || metrics::text(*attendance.borrow(), &counters)));
         }
         let most = args.viewers as usize;
         let mut num_links = 0;

@@ -8,6 +8,7 @@ mod stranger_log;
 use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -100,6 +101,8 @@ struct ServerShared {
     doors: Mutex<Doors>,
     pending: Arc<PendingHellos>,
     strangers: StrangerLog,
+    /// Connections that came to nothing.
+    refusals: Arc<AtomicU64>,
     /// Notified when a place is given back.
     left: Arc<Notify>,
 }
@@ -143,6 +146,7 @@ impl Server {
             doors: Mutex::default(),
             pending: Arc::default(),
             strangers: StrangerLog::default(),
+            refusals: Arc::default(),
             left: Arc::default(),
         });
         let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
@@ -183,6 +187,11 @@ impl Server {
     /// Number of links that a viewer has used.
     pub fn num_used_links(&self) -> usize {
         self.shared.doors().admission.num_used()
+    }
+
+    /// The number of connections that came to nothing before their viewer was let in.
+    pub fn refusals(&self) -> Arc<AtomicU64> {
+        self.shared.refusals.clone()
     }
 
     /// Notified when a viewer gives its place back, even one that left before it was accepted.
@@ -361,6 +370,7 @@ fn welcome(
 impl ServerShared {
     /// Logs that a connection came to nothing.
     fn tell(&self, remote: SocketAddr, why: &dyn std::fmt::Display) {
+        self.refusals.fetch_add(1, Ordering::Relaxed);
         self.strangers.tell(remote, Instant::now(), why);
     }
 

@@ -176,6 +176,7 @@ impl Viewer {
                 }
                 let Ticket { sending, reference, .. } = &coded.ticket;
                 let (bytes, micros) = (coded.num_bytes(), coded.encode_micros);
+                self.common.counters.note_bytes(bytes);
                 self.frames.handle_encoded(sending, reference.is_some(), bytes, micros);
                 self.pipeline.put_coded(coded);
             }
@@ -195,6 +196,7 @@ impl Viewer {
     fn note_sent(&mut self, sent: Result<Sent, SessionClosed>) -> bool {
         self.resting = sent.ok();
         if let Some(sent) = &self.resting {
+            self.common.counters.note_frame();
             self.frames.handle_sent(sent.ticket.sending.clone());
         }
         self.resting.is_some()
