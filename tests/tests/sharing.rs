@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
@@ -18,6 +18,13 @@ use isinglass_render::Backend;
 use isinglass_server::{RunningServer, ServeOptions, Timing, start};
 use tokio::runtime::Runtime;
 
+/// Voxels along a side of the volume, and the radius of its bounding sphere, world units.
+const SIDE: u32 = 96;
+const RADIUS: f32 = 1.733;
+
+/// The tests compare how fast viewers are, so one of them runs at a time.
+static MACHINE: Mutex<()> = Mutex::new(());
+
 struct Host {
     runtime: Runtime,
     server: RunningServer,
@@ -28,7 +35,7 @@ impl Host {
         let runtime =
             tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
         let options = ServeOptions {
-            volume: Arc::new(Builtin::Shells.volume(96)),
+            volume: Arc::new(Builtin::Shells.volume(SIDE)),
             look: look(8),
             backend: Backend::Cpu,
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
@@ -54,8 +61,9 @@ fn look(k: u8) -> Look {
     Look { k, ..Look::new(load_transfer("shells").unwrap()) }
 }
 
-fn pose(turn: f32) -> Pose {
-    Pose::orbit(Vec3::ZERO, turn, 0.3, 230.0)
+/// The whole volume fills the height of the picture.
+fn pose(turn: f32, size: &Intrinsics) -> Pose {
+    Pose::orbit(Vec3::ZERO, turn, 0.3, RADIUS * size.fit_distance())
 }
 
 /// A viewer whose camera turns, and the frames it has seen.
@@ -72,7 +80,7 @@ impl Hand {
     }
 
     fn turn(&mut self, turn: f32) {
-        self.client.set_pose(pose(turn), self.size);
+        self.client.set_pose(pose(turn, &self.size), self.size);
         let newest = self.client.latest_frame().map(|f| f.frame.header.frame);
         if newest != self.newest {
             (self.newest, self.num_frames) = (newest, self.num_frames + 1);
@@ -94,8 +102,9 @@ fn play(hands: &mut [&mut Hand], seconds: f32) -> Vec<f32> {
 
 #[test]
 fn a_large_viewer_leaves_a_small_one_half_of_its_frames() {
+    let _machine = MACHINE.lock().unwrap_or_else(PoisonError::into_inner);
     let host = Host::new(CodingPlan::default(), 1 << 30);
-    let mut small = Hand::new(host.viewer(), 128, 128);
+    let mut small = Hand::new(host.viewer(), 256, 256);
     play(&mut [&mut small], 2.0);
     let alone = play(&mut [&mut small], 4.0)[0];
     let mut large = Hand::new(host.viewer(), 1920, 1080);
@@ -109,7 +118,7 @@ fn a_large_viewer_leaves_a_small_one_half_of_its_frames() {
         assert!(both[1] > 0.3, "{both:?}");
     }
     // A large camera that rests gets its whole picture, beside a small one that does not.
-    let id = large.client.set_pose(pose(1.0), large.size);
+    let id = large.client.set_pose(pose(1.0, &large.size), large.size);
     let patience = Instant::now() + Duration::from_secs(120);
     loop {
         play(&mut [&mut small], 0.2);
@@ -126,6 +135,7 @@ fn a_large_viewer_leaves_a_small_one_half_of_its_frames() {
 
 #[test]
 fn frames_keep_to_their_memory_and_are_made_smaller_before() {
+    let _machine = MACHINE.lock().unwrap_or_else(PoisonError::into_inner);
     let segments_with = |frame_memory: u64| {
         let host = Host::new(CodingPlan::EXACT, frame_memory);
         let mut hands: Vec<Hand> = (0..2).map(|_| Hand::new(host.viewer(), 1280, 800)).collect();
@@ -135,7 +145,7 @@ fn frames_keep_to_their_memory_and_are_made_smaller_before() {
         let mut most = 0;
         for step in 0..3 {
             for hand in &mut hands {
-                let id = hand.client.set_pose(pose(step as f32), hand.size);
+                let id = hand.client.set_pose(pose(step as f32, &hand.size), hand.size);
                 let patience = Instant::now() + Duration::from_secs(120);
                 let frame = loop {
                     let newest = hand.client.latest_frame();

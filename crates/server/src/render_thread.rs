@@ -242,7 +242,7 @@ impl RenderThread {
 }
 
 /// Time of a turn while others wait.
-const TURN: Duration = Duration::from_millis(25);
+const TURN: Duration = Duration::from_millis(10);
 /// Most pixels of a picture in a piece.
 const CPU_PIXELS: u32 = 1 << 16;
 const GPU_PIXELS: u32 = 1 << 20;

@@ -108,10 +108,13 @@ mod tests {
     #[test]
     fn histories_are_bounded() {
         let mut turns = Turns::default();
-        for i in 0..10_000 {
-            turns.enter(ViewerId(i));
-            turns.choose([ViewerId(i)].into_iter());
-            turns.charge(ViewerId(i), 10);
+        for i in 1..10_000 {
+            let both = [ViewerId(0), ViewerId(i)];
+            both.into_iter().for_each(|viewer| turns.enter(viewer));
+            for _ in 0..3 {
+                let place = turns.choose(both.into_iter()).unwrap();
+                turns.charge(both[place], 10);
+            }
         }
         assert!(turns.next.len() <= MAX_REMEMBERED + 1);
         assert_eq!(turns.choose(std::iter::empty()), None);

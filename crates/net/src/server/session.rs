@@ -155,7 +155,8 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
             () = watch_silence(&connection) => None,
         };
         if let Some(refusal) = violated {
-            tracing::warn!("{}", refuse(&connection, &mut send, refusal).await);
+            let why = refuse(&connection, &mut send, refusal).await;
+            tracing::warn!("{why}");
         }
         // When any of these ends, the rest ends with it. A closed connection keeps its own reason.
         connection.close(transport::CLOSE_PROTOCOL, b"the control stream ended");
