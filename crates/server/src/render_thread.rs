@@ -82,7 +82,7 @@ impl RenderThread {
             let started = Instant::now();
             self.company.note(viewer, started);
             // Who comes meanwhile may have a better claim.
-            let goes_on = || started.elapsed() < TURN || !(has_others || !jobs.is_empty());
+            let goes_on = || started.elapsed() < TURN || (!has_others && jobs.is_empty());
             let left = self.turn(work, &goes_on);
             let micros = started.elapsed().as_micros() as u64;
             turns.charge(viewer, micros);
