@@ -76,7 +76,9 @@ impl Lights {
         // The requester may leave meanwhile. The result serves the next one, whose turn comes when this has ended.
         let work = tokio::task::spawn_blocking(move || {
             let _turn = turn;
-            let scene = base.with_look(&look.transfer, look.march_settings());
+            // What the newest look has in common with this one need not be worked out again.
+            let newest = lock(&known).last().map_or_else(|| (*base).clone(), |(_, scene)| scene.clone());
+            let scene = newest.with_look(&look.transfer, look.march_settings());
             let mut known = lock(&known);
             if known.len() == MAX_KNOWN {
                 known.remove(0);

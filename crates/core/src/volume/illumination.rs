@@ -102,7 +102,8 @@ impl Illumination {
             // Occlusion takes long, and that of the look before is near. So an edit does not wait for it.
             let of_other = before.filter(|_| detail == Detail::Draft && alike.is_none());
             found.shade(volume, matter, region, detail, (alike, of_other));
-            found.lit = Some(Arc::new(found.combined(volume)));
+            let kept = before.filter(|b| found.combines_like(b)).and_then(|b| b.lit.clone());
+            found.lit = Some(kept.unwrap_or_else(|| Arc::new(found.combined(volume))));
         }
         found
     }
@@ -157,6 +158,30 @@ impl Illumination {
     pub fn is_final(&self) -> bool {
         !self.lacks_occlusion
             && [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
+    }
+
+    /// Brightness of matter without ambient occlusion and shadows, as ambient and diffuse. `None` where there are none
+    /// of both, or no shading.
+    pub fn open(&self) -> Option<(f32, f32)> {
+        self.shading.filter(|_| self.lighting.is_on()).map(|s| (s.ambient, s.diffuse))
+    }
+
+    /// Whether [`Self::combined`] has the same inputs.
+    fn combines_like(&self, other: &Self) -> bool {
+        let strengths = |i: &Self| (i.lighting.ambient_occlusion, i.lighting.shadows);
+        let is_same = |a: &Option<GradedShade>, b: &Option<GradedShade>| match (a, b) {
+            (Some((_, a)), Some((_, b))) => Arc::ptr_eq(a, b),
+            (a, b) => a.is_none() && b.is_none(),
+        };
+        let has_same_gradients = match (&self.gradients, &other.gradients) {
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+            (a, b) => a.is_none() && b.is_none(),
+        };
+        has_same_gradients
+            && strengths(self) == strengths(other)
+            && self.classes.sheets.is_some() == other.classes.sheets.is_some()
+            && is_same(&self.occlusion, &other.occlusion)
+            && is_same(&self.shadow, &other.shadow)
     }
 
     /// The brightness of every voxel, as one number.
@@ -269,6 +294,8 @@ mod tests {
         softness_degrees: 20.0,
         azimuth_degrees: 10.0,
         elevation_degrees: 60.0,
+        specular: 0.0,
+        shininess: 20.0,
     };
 
     #[test]
@@ -319,6 +346,10 @@ mod tests {
         assert!(same(&weaker.occlusion, &first.illumination.occlusion));
         assert!(same(&weaker.shadow, &first.illumination.shadow));
         assert_ne!(weaker.lit(), first.illumination.lit());
+        // Highlights use the brightness that is there.
+        let glossy = with(Lighting { specular: 0.5, shininess: 60.0, ..lighting });
+        assert!(Arc::ptr_eq(glossy.lit().unwrap(), first.illumination.lit().unwrap()));
+        assert!(!Arc::ptr_eq(weaker.lit().unwrap(), first.illumination.lit().unwrap()));
         let turned = with(Lighting { azimuth_degrees: 50.0, ..lighting });
         assert!(same(&turned.occlusion, &first.illumination.occlusion));
         assert!(!same(&turned.shadow, &first.illumination.shadow));
