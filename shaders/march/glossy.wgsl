@@ -22,11 +22,12 @@ fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f {
     return min(color * brightness + vec3f(mirrored), vec3f(COLOR_MAX)) * alpha;
 }
 
-// The part of the highlight around one of the half-way directions, whose length says its share.
+// The part of the highlight around one of the half-way directions. Its length is 2·√x.
 fn lobe(normal: vec3f, halfway: vec3f) -> f32 {
     let square = dot(halfway, halfway);
     let facing = abs(dot(normal, halfway)) / sqrt(max(square, LEAST_SQUARE));
-    return 0.25 * square * pow(facing, scene.shininess);
+    let x = 0.25 * square;
+    return x * x * (3.0 - 2.0 * x) * pow(facing, scene.shininess);
 }
 
 // How the stored numbers grow over two voxels at a point of voxel space: differences at the voxels around, interpolated

@@ -2,10 +2,10 @@
 //! `shaders/march/glossy.wgsl`.
 //!
 //! With the unit vectors l towards the light and e towards the eye, two directions lie half-way: h₁ between e and l, and
-//! h₂ between e and −l, because the light is two-sided. Each counts by the share of the light on the eye's side,
-//! (1 ± e·l)/2. So a highlight moves evenly as the eye goes around. A highlight is white and adds
+//! h₂ between e and −l, because the light is two-sided. The side that the eye is on counts most: with x = (1 ± e·l)/2,
+//! each has the share q(x) = x²·(3 − 2x). So highlights change evenly as the eye goes around. They are white and add
 //!
-//! specular·w·o·( (1 + e·l)/2·|n·h₁|^shininess + (1 − e·l)/2·|n·h₂|^shininess ).
+//! specular·w·o·( q₁·|n·h₁|^shininess + q₂·|n·h₂|^shininess ).
 //!
 //! n is the direction of the gradient at the point itself, not mixed from the voxels' brightness as the diffuse light
 //! is. w is the weight of its size, as in [`Lit`]. o is what shade leaves of the source's light.
@@ -71,7 +71,11 @@ impl VoxelRay {
         let sums = [light - dir, light + dir];
         let squares = sums.map(Vec3::length_squared);
         let halfways = [0, 1].map(|i| sums[i] / squares[i].max(LEAST_SQUARE).sqrt());
-        Self { origin, dir: dir * voxel_from_world, halfways, shares: squares.map(|square| 0.25 * square) }
+        let share = |square: f32| {
+            let x = 0.25 * square;
+            x * x * (3.0 - 2.0 * x)
+        };
+        Self { origin, dir: dir * voxel_from_world, halfways, shares: squares.map(share) }
     }
 }
 
