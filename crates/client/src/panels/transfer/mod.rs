@@ -187,8 +187,8 @@ impl TransferEditor {
         presets: &[&str],
         isos: Option<&mut Isos>,
     ) {
-        let values = isos.iter().flat_map(|isos| isos.as_slice());
-        self.surfaces = values.map(|iso| iso.value).collect();
+        let shown = isos.as_deref().map(|isos| scale.shown_surfaces(*isos)).unwrap_or_default();
+        self.surfaces = shown.as_slice().iter().map(|iso| iso.value).collect();
         ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
         self.presets_row(ui, scale, presets);
         self.plot(ui, scale);

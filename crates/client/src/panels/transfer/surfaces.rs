@@ -9,7 +9,8 @@ use super::super::value_scale::ValueScale;
 
 /// A line for each surface, and a button that adds one.
 pub(super) fn show(ui: &mut Ui, surfaces: &mut Isos, scale: &ValueScale) {
-    let mut isos = surfaces.as_slice().to_vec();
+    let shown = scale.shown_surfaces(*surfaces);
+    let mut isos = shown.as_slice().to_vec();
     let mut removed = None;
     let (lo, hi) = scale.range;
     let num = isos.len();
@@ -50,8 +51,10 @@ pub(super) fn show(ui: &mut Ui, surfaces: &mut Isos, scale: &ValueScale) {
     if add.clicked() {
         isos.push(another(&isos, scale.range));
     }
-    // Numbers from elsewhere may be invalid.
-    *surfaces = Isos::new(&isos).unwrap_or(*surfaces);
+    if isos != shown.as_slice() {
+        // Numbers from elsewhere may be invalid.
+        *surfaces = Isos::new(&isos).unwrap_or(*surfaces);
+    }
 }
 
 /// A new surface beside others, which stay. It is translucent and encloses the outermost opaque one. Without an

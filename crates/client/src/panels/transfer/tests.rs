@@ -353,6 +353,14 @@ fn surfaces_are_lines_in_the_histogram() {
     h.run();
     assert!(h.query_by_label_contains("line of surface").is_none());
     assert!(h.query_by_label("add a surface").is_none(), "the list is of one mode only");
+    // Where nobody has chosen a surface, the list and the line show the server's, and looking at it chooses nothing.
+    h.state_mut().isos = Some(Isos::default());
+    h.run();
+    assert!(h.query_by_label("value of surface 1").is_some());
+    assert!(h.query_by_label_contains("line of surface 1 at").is_some());
+    assert_eq!(h.state().isos, Some(Isos::default()));
+    click(&mut h, "add a surface");
+    assert_eq!(h.state().isos.unwrap().as_slice().len(), 2);
     h.state_mut().isos = Some("300, 1200:0.5".parse().unwrap());
     h.run();
     // The list stands below the curve, and above what is of the curve alone.
