@@ -117,7 +117,7 @@ impl Standing {
     /// The explanation of the word, as hover text.
     pub fn explanation(self) -> &'static str {
         match self {
-            Self::Waiting => "No frame has arrived yet.",
+            Self::Waiting => "There is no picture yet.",
             Self::Moving => "Drawn here, at once, from the newest layered frame.",
             Self::Refining => "The server's frame for this view is on its way.",
             Self::Offline => "Drawn here from the last frame that came: there is no connection.",
