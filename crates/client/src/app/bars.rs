@@ -88,7 +88,11 @@ impl<S: FrameSource> ViewerApp<S> {
     /// The room for panes at the top: beside the badge, or below it if there is too little.
     pub(super) fn room_at_top(&self) -> Rect {
         let room = self.room;
-        let taken = if self.shows_bars { status::size_taken(self.shows_numbers) } else { egui::Vec2::ZERO };
+        let taken = if self.shows_bars {
+            status::size_taken(room.width(), self.shows_numbers)
+        } else {
+            egui::Vec2::ZERO
+        };
         match room.width() - taken.x >= LEAST_ROOM_AT_TOP {
             true => room.with_min_x(room.left() + taken.x),
             false => room.with_min_y(room.top() + taken.y),

@@ -417,7 +417,8 @@ impl Screenshots {
     /// Number of pictures to make.
     fn total(&self) -> u32 {
         let along = |path: &Arc<CameraPath>| {
-            let num = (path.duration().as_secs_f32() * PICTURES_PER_SECOND as f32) as u32 + 1;
+            // The last one is at the end.
+            let num = (path.duration().as_secs_f32() * PICTURES_PER_SECOND as f32).ceil() as u32 + 1;
             num.min(MAX_PICTURES)
         };
         self.way().map_or(self.num_pictures, along)

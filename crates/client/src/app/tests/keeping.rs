@@ -314,14 +314,14 @@ fn a_recorded_path_becomes_pictures_along_it_and_a_file() {
     let (name, text) = files.remove(files.iter().position(|(name, _)| name.ends_with(".txt")).unwrap());
     assert!(name.contains("-path"), "{name}");
     let path = crate::CameraPath::parse(std::str::from_utf8(&text).unwrap()).unwrap();
-    let expected_num = (path.duration().as_secs_f32() * 25.0) as usize + 1;
+    let expected_num = (path.duration().as_secs_f32() * 25.0).ceil() as usize + 1;
     assert!(files.len() == expected_num && files.len() > 3, "{} of {expected_num}", files.len());
     assert!(files[0].1 == expected(&w, first, (40, 30)), "it begins where the camera was");
     let end = isinglass_formats::png::decode(&files[files.len() - 1].1, 1 << 20).unwrap();
     let of_last = isinglass_formats::png::decode(&expected(&w, last, (40, 30)), 1 << 20).unwrap();
     let apart = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
     let of_first = isinglass_formats::png::decode(&files[0].1, 1 << 20).unwrap();
-    // Less than a picture's time before the end.
+    // Its own place is rounded.
     assert!(apart(&end.bytes, &of_last.bytes) * 4 < apart(&of_first.bytes, &of_last.bytes));
     // The menu asks for it again, as a movie.
     w.get_by_label("Picture").click();

@@ -243,13 +243,11 @@ fn the_bar_leaves_the_picture_and_the_slices_free() {
             w.get_by_label("list of measurements").click();
             rest(&mut w);
         }
-        for kind in ["Distance", "Profile"] {
+        for (kind, y) in [("Distance", -15.0), ("Profile", 15.0)] {
             w.get_by_label(kind).click();
             rest(&mut w);
             let middle = w.get_by_label_contains("across z, slice ").rect().center();
-            [middle - vec2(30.0, 10.0), middle + vec2(20.0, 15.0)]
-                .into_iter()
-                .for_each(|at| click_at(&mut w, at));
+            [-30.0, 20.0].into_iter().for_each(|x| click_at(&mut w, middle + vec2(x, y)));
         }
         // Values along a line are seen at once.
         assert!(
