@@ -31,22 +31,22 @@ pub(crate) struct MeasureBar {
     /// The volume that the lines below go through.
     volume: Option<Arc<Welcome>>,
     /// Lines whose values are on the way, the newest last.
-    asked: Vec<(ProbeId, Line)>,
+    asked: Vec<(ProbeId, MeasuredLine)>,
     /// The newest values that came of each measurement.
-    known: Vec<(Line, Arc<Profile>)>,
+    known: Vec<(MeasuredLine, Arc<Profile>)>,
     files: FileField<()>,
 }
 
 /// The number of a measurement, and the ends of its line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Line {
+struct MeasuredLine {
     number: usize,
     ends: [[f32; 3]; 2],
 }
 
 /// A line to ask the server for.
 pub(crate) struct WantedProfile {
-    line: Line,
+    line: MeasuredLine,
     pub(crate) num_points: u16,
 }
 
@@ -69,7 +69,7 @@ impl MeasureBar {
             self.volume = Some(volume.clone());
             (self.asked, self.known) = (Vec::new(), Vec::new());
         }
-        let is_known = |line: &Line| self.known.iter().any(|(known, _)| known == line);
+        let is_known = |line: &MeasuredLine| self.known.iter().any(|(known, _)| known == line);
         let shown = line_of(measures, self.shown_profile(measures)?)?;
         let line = if !is_known(&shown) {
             Some(shown).filter(|line| self.asked.last().is_none_or(|(_, asked)| asked != line))
@@ -402,9 +402,9 @@ fn finest(volume: &VolumeDescription) -> f32 {
     volume.spacing.iter().copied().fold(f32::INFINITY, f32::min)
 }
 
-fn line_of(measures: &[SavedMeasure], number: usize) -> Option<Line> {
+fn line_of(measures: &[SavedMeasure], number: usize) -> Option<MeasuredLine> {
     let measure = measures.get(number).filter(|measure| measure.kind == MeasureKind::Profile)?;
-    Some(Line { number, ends: [*measure.points.first()?, *measure.points.last()?] })
+    Some(MeasuredLine { number, ends: [*measure.points.first()?, *measure.points.last()?] })
 }
 
 /// A measurement in a line.
