@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn choices_are_read_as_they_are_written() {
-        let nowhere = std::path::Path::new("/nowhere/choices.toml");
+        let nowhere = Path::new("/nowhere/choices.toml");
         assert_eq!(Remembered::read(nowhere, |_| ()).unwrap(), Remembered::default(), "no file yet");
         for choices in [all(), Remembered::default()] {
             assert!(matches!(read(choices.to_toml().as_bytes()), (Ok(found), 0) if found == choices));

@@ -354,7 +354,7 @@ impl Screenshots {
                 }
                 ui.end_row();
                 if total > 1 {
-                    ui.label("Format");
+                    ui.label("format");
                     ui.horizontal(|ui| {
                         for (form, name, hint) in FORMS {
                             let choice = ui.selectable_label(self.movie == form, name);
@@ -369,7 +369,7 @@ impl Screenshots {
                     ui.label(format!("{seconds:.1} s at {PICTURES_PER_SECOND} pictures a second"));
                     ui.end_row();
                 }
-                ui.label("Overlays");
+                ui.label("overlays");
                 ui.horizontal(|ui| {
                     ui.checkbox(&mut self.has_scale, "scale bar");
                     ui.checkbox(&mut self.has_legend, "colour legend");

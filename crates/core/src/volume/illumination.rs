@@ -42,6 +42,14 @@ pub struct Illumination {
 #[derive(Clone, Debug)]
 pub struct Occlusion(Arc<Shade>);
 
+impl Occlusion {
+    /// Whether its volume had as many voxels.
+    fn fits(&self, volume: &Volume) -> bool {
+        let Shade { dims, voxels, .. } = &*self.0;
+        (0..3).all(|axis| dims[axis] == (volume.dims()[axis] as usize).div_ceil(voxels[axis].max(1)))
+    }
+}
+
 type GradedShade = (Detail, Arc<Shade>);
 
 /// The inputs of extinction: a table's nodes and the map to them, or surfaces; and the region.
@@ -103,9 +111,7 @@ impl Illumination {
             gradients,
         };
         if lighting.is_on() {
-            let near = before
-                .and_then(|(_, near)| near)
-                .filter(|near| near.0.voxels == volume.dims().map(|d| d as usize));
+            let near = before.and_then(|(_, near)| near).filter(|near| near.fits(volume));
             let alike = before.map(|(b, _)| b).filter(|b| b.classes.shades_like(&found.classes));
             // Occlusion takes long, and that of a look before is near. So an edit does not wait for it.
             let has_own = alike.is_some_and(|b| b.occlusion.is_some() && !b.lacks_occlusion);
