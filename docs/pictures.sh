@@ -107,10 +107,9 @@ picture() {
     open 1100x760 "$@"
     settle
     act "$keys"
-    import -window root -depth 8 -strip "png:$home/$name.png"
+    import -window root -depth 8 -strip "docs/$name.png"
     close
-    convert "$home/$name.png" -quality 86 -define webp:method=6 "docs/$name.webp"
-    echo "docs/$name.webp"
+    echo "docs/$name.png"
 }
 
 # look NAME WxH KEYS ARGUMENTS…: the window at rest in target/tour, after KEYS.
@@ -179,7 +178,7 @@ if [ "$chosen" = " tour " ]; then
     tour
     exit
 fi
-picture guide-viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
+picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
 moving viewer demo "${bonsai[@]}" --rtt 200ms --bars off --size 640x420
 picture guide-start "" view
 picture guide-editor "" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
@@ -187,5 +186,4 @@ picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2
 picture guide-iso "" demo tooth.nhdr --rtt 50ms --mode iso --iso 600:0.4,1000 --orbit 30,-50,2.8
 picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7
 picture guide-clip c demo mouse_brain.nrrd --rtt 50ms --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20
-picture guide-slices x demo avm.nrrd --rtt 50ms --orbit 30,20,2
-picture guide-measure "d 300,330 420,420 360,290 330,480" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
+picture guide-measure "x d 217,718 500,230 600,290" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
