@@ -59,13 +59,6 @@ impl Lights {
         scenes.last().map(|(_, scene)| scene.clone())
     }
 
-    /// The newest scene with ambient occlusion, whatever its look.
-    pub(crate) fn occluded(&self) -> Option<Scene> {
-        let scenes = self.scenes();
-        let mut occluded = scenes.iter().rev().filter(|(_, scene)| scene.illumination.has_occlusion());
-        occluded.next().map(|(_, scene)| scene.clone())
-    }
-
     /// The scene of a look, computed if necessary. `None` if that failed.
     pub(crate) async fn scene(&self, look: &Look) -> Option<Scene> {
         let turn = self.turns.clone().acquire_owned().await.ok()?;

@@ -38,7 +38,7 @@ use crate::simd::has_avx2;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
 pub use crate::volume::Shading;
-use crate::volume::{Bricks, Detail, Histogram, Illumination, Lighting, Lit, Matter, Occupancy, Volume};
+use crate::volume::{Bricks, Detail, Histogram, Illumination, Lighting, Lit, Occlusion, Occupancy, Volume};
 
 /// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,7 +108,7 @@ impl Scene {
         let (table, surfaces) = classify(&volume, &histogram, transfer, &settings);
         let occupancy = modes::occupancy(&bricks, settings.mode, &table, &surfaces);
         let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &volume, &settings.clip);
-        let illumination = illuminate(&volume, &table, &surfaces, settings, None);
+        let illumination = modes::illuminate(&volume, &table, &surfaces, settings, None);
         Self {
             volume,
             bricks,
@@ -124,6 +124,16 @@ impl Scene {
 
     /// The same volume with another look. Bricks, histogram and unchanged lighting are shared.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
+        self.with_look_near(transfer, settings, self.illumination.occlusion().as_ref())
+    }
+
+    /// The same, but a draft takes its ambient occlusion from `near`, or has none.
+    pub fn with_look_near(
+        &self,
+        transfer: &TransferFunction,
+        settings: MarchSettings,
+        near: Option<&Occlusion>,
+    ) -> Self {
         let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
         // Dragging a clip or a light does not change which bricks are visible.
         let is_seen_alike =
@@ -133,7 +143,8 @@ impl Scene {
             false => modes::occupancy(&self.bricks, settings.mode, &table, &surfaces),
         };
         let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &self.volume, &settings.clip);
-        let illumination = illuminate(&self.volume, &table, &surfaces, settings, Some(&self.illumination));
+        let before = Some((&self.illumination, near));
+        let illumination = modes::illuminate(&self.volume, &table, &surfaces, settings, before);
         Self { table, surfaces, has_lesser_bodies, occupancy, illumination, settings, ..self.clone() }
     }
 
@@ -188,23 +199,6 @@ fn classify(
         Vec::new()
     };
     (table, surfaces)
-}
-
-fn illuminate(
-    volume: &Volume,
-    table: &TransferTable,
-    surfaces: &[Surface],
-    settings: MarchSettings,
-    before: Option<&Illumination>,
-) -> Illumination {
-    let MarchSettings { mut shading, mut lighting, detail, clip, mode, .. } = settings;
-    if mode.is_projection() {
-        (shading, lighting) = (None, Lighting::default());
-    }
-    let region = clip.region(&volume.bounds());
-    let sheets = surfaces::sheets(surfaces);
-    let matter = if mode == Mode::Iso { Matter::Surfaces(&sheets) } else { Matter::Medium(table) };
-    Illumination::of(volume, table, matter, shading, &region, lighting, detail, before)
 }
 
 /// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n.

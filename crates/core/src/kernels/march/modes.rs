@@ -9,11 +9,12 @@ use glam::Vec3;
 
 use super::glossy::{PointLight, VoxelRay};
 use super::grid::Lanes;
-use super::{Advance, Lattice, Marcher, Scene, Sink, Step, TAU_MIN, Texels, lookup};
+use super::surfaces::sheets;
+use super::{Advance, Lattice, MarchSettings, Marcher, Scene, Sink, Step, TAU_MIN, Texels, lookup};
 use crate::kernels::raycast::opacity;
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
-use crate::volume::{Bricks, Histogram, Occupancy, Volume};
+use crate::volume::{Bricks, Histogram, Illumination, Lighting, Matter, Occlusion, Occupancy, Volume};
 
 /// A surface of one value, as the march finds it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +27,24 @@ pub struct Surface {
     pub color: Vec3,
     /// Optical depth of a crossing.
     pub tau: f32,
+}
+
+/// The brightness of the voxels. See [`Illumination::of`] for `before`.
+pub(super) fn illuminate(
+    volume: &Volume,
+    table: &TransferTable,
+    surfaces: &[Surface],
+    settings: MarchSettings,
+    before: Option<(&Illumination, Option<&Occlusion>)>,
+) -> Illumination {
+    let MarchSettings { mut shading, mut lighting, detail, clip, mode, .. } = settings;
+    if mode.is_projection() {
+        (shading, lighting) = (None, Lighting::default());
+    }
+    let region = clip.region(&volume.bounds());
+    let sheets = sheets(surfaces);
+    let matter = if mode == Mode::Iso { Matter::Surfaces(&sheets) } else { Matter::Medium(table) };
+    Illumination::of(volume, table, matter, shading, &region, lighting, detail, before)
 }
 
 /// The surfaces by ascending position; by default the value that splits the histogram best.
