@@ -9,6 +9,7 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::session::admission::ViewerId;
+use isinglass_core::volume::Occlusion;
 use isinglass_gpu::GpuError;
 use isinglass_net::AfterWork;
 use isinglass_render::{Backend, FrameInPieces, Renderer};
@@ -41,6 +42,8 @@ pub(crate) struct Generated {
     pub(crate) generate_micros: u64,
     /// Whether the shade is a draft, so that [`Lights::scene`] can provide a finer one.
     pub(crate) is_draft: bool,
+    /// The ambient occlusion of a frame that is no draft.
+    pub(crate) occlusion: Option<Occlusion>,
 }
 
 /// Whether a frame is still wanted. Clones share the answer.
@@ -95,6 +98,8 @@ pub(crate) struct FrameOrder {
     pub(crate) scene: SceneNumber,
     /// Must be valid.
     pub(crate) look: Look,
+    /// The ambient occlusion of this viewer's last frame that had all of its shade. A draft borrows it.
+    pub(crate) near: Option<Occlusion>,
     pub(crate) header: FrameHeader,
     /// The frame is made while this holds.
     pub(crate) wish: Wish,
@@ -122,6 +127,8 @@ pub(crate) struct FrameJob {
 pub(crate) struct Begun {
     pub(crate) frame: FrameInPieces,
     pub(crate) is_draft: bool,
+    /// Its ambient occlusion, unless it is a draft.
+    pub(crate) occlusion: Option<Occlusion>,
 }
 
 /// The next rows of a picture.

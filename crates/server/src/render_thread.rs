@@ -9,7 +9,7 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::frames::within;
-use isinglass_core::volume::Detail;
+use isinglass_core::volume::{Detail, Occlusion};
 use isinglass_net::{AfterWork, Work};
 use isinglass_render::{Piece, Renderer};
 use tokio::sync::mpsc;
@@ -154,13 +154,14 @@ impl RenderThread {
             return Err(GenerateError::OtherVolume);
         }
         if begun.as_ref().is_none_or(|begun| begun.frame.needs_its_scene()) {
-            self.prepare(order.scene, &order.look, None)?;
+            self.prepare(order.scene, &order.look, order.near.as_ref(), None)?;
         }
         let begun = match begun {
             Some(begun) => begun,
             None => {
                 let is_draft = !self.is_final();
-                begun.insert(Begun { frame: self.renderer.begin(order.header)?, is_draft })
+                let occlusion = self.renderer.scene().illumination.occlusion().filter(|_| !is_draft);
+                begun.insert(Begun { frame: self.renderer.begin(order.header)?, is_draft, occlusion })
             }
         };
         let max_segments = max_segments(order.held.bytes(), order.header.camera.intrinsics.num_pixels());
@@ -188,7 +189,8 @@ impl RenderThread {
                 let mut held = order.held.take();
                 held.set(bytes_of(frame.num_segments(), frame.offsets.len() - 1));
                 let (generate_micros, is_draft) = (*spent_micros, begun.is_draft);
-                Ok(Some(Generated { frame, _held: held, generate_micros, is_draft }))
+                let occlusion = begun.occlusion.take();
+                Ok(Some(Generated { frame, _held: held, generate_micros, is_draft, occlusion }))
             }
         }
     }
@@ -196,7 +198,7 @@ impl RenderThread {
     /// Renders as many rows of a picture as take about as long as a turn.
     fn rows(&mut self, job: &RowsJob) -> Result<Rows, GenerateError> {
         let started = Instant::now();
-        self.prepare(job.scene, &job.look, job.lit.as_ref())?;
+        self.prepare(job.scene, &job.look, None, job.lit.as_ref())?;
         let Intrinsics { width, height, .. } = job.camera.intrinsics;
         let most = match self.renderer {
             Renderer::Gpu(_) => GPU_PIXELS,
@@ -208,8 +210,15 @@ impl RenderThread {
         Ok(Rows { picture, micros: started.elapsed().as_micros() as u64 })
     }
 
-    /// Sets a look: with all of its shade if that is known or given, else with a draft.
-    fn prepare(&mut self, scene: SceneNumber, look: &Look, lit: Option<&Scene>) -> Result<(), GenerateError> {
+    /// Sets a look: with all of its shade if that is known or given, else with a draft. The scene may have the look of
+    /// any viewer, so its ambient occlusion is not taken.
+    fn prepare(
+        &mut self,
+        scene: SceneNumber,
+        look: &Look,
+        near: Option<&Occlusion>,
+        lit: Option<&Scene>,
+    ) -> Result<(), GenerateError> {
         if scene != self.scene {
             return Err(GenerateError::OtherVolume);
         }
@@ -224,12 +233,8 @@ impl RenderThread {
             None if is_set => return Ok(()),
             None => {
                 let settings = MarchSettings { detail: Detail::Draft, ..look.march_settings() };
-                let has_any = self.renderer.scene().illumination.has_occlusion();
-                let occluded = self.lights.occluded().filter(|_| look.lighting.is_on() && !has_any);
-                match occluded {
-                    Some(scene) => self.renderer.set_scene(scene.with_look(&look.transfer, settings))?,
-                    None => self.renderer.set_look(&look.transfer, settings)?,
-                }
+                let draft = self.renderer.scene().with_look_near(&look.transfer, settings, near);
+                self.renderer.set_scene(draft)?;
             }
         }
         self.look = look.clone();
@@ -248,3 +253,6 @@ const CPU_PIXELS: u32 = 1 << 16;
 const GPU_PIXELS: u32 = 1 << 20;
 /// How much smaller than expected a frame is made that was too large.
 const LESS: f64 = 0.85;
+
+#[cfg(test)]
+mod tests;

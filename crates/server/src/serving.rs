@@ -12,6 +12,7 @@ use isinglass_core::ids::LookVersion;
 use isinglass_core::session::frames::FramesServer;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::selection::Load;
+use isinglass_core::volume::Occlusion;
 use isinglass_net::{AfterWork, Journal, Server, Session};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
@@ -104,6 +105,8 @@ struct Viewer {
     resting: Option<Sent>,
     /// Whether this is its first connection.
     is_new: bool,
+    /// The ambient occlusion of the last frame that was no draft.
+    occlusion: Option<Occlusion>,
     /// The shade that is being computed, with its look version.
     refining: Option<(LookVersion, JoinHandle<bool>)>,
     screenshots: Screenshots,
@@ -149,6 +152,7 @@ impl Viewer {
             sizes: FrameSizes::default(),
             resting: None,
             is_new,
+            occlusion: None,
             refining: None,
             screenshots,
             slices,
@@ -262,6 +266,7 @@ impl Viewer {
         self.frames.handle_volume();
         self.sizes = FrameSizes::default();
         self.forget_sent();
+        self.occlusion = None;
         self.tell_parts();
         self.tell_oddities();
     }

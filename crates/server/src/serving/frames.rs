@@ -67,7 +67,8 @@ impl Viewer {
         let asked = self.frames.begin(now, &request, &talk.look, &self.present.bounds);
         let (generator, scene) = (self.common.generator.clone(), self.present.scene);
         let wish = Wish::default();
-        let order = FrameOrder { viewer, scene, look, header: asked.header, wish: wish.clone(), held };
+        let (near, header) = (self.occlusion.clone(), asked.header);
+        let order = FrameOrder { viewer, scene, look, near, header, wish: wish.clone(), held };
         let making = async move { generator.generate(order).await };
         self.pipeline.generate(asked, wish, making);
         None
@@ -125,6 +126,10 @@ impl Viewer {
                 self.frames.handle_generated(generated.generate_micros);
                 // To keep to its memory, it may be smaller.
                 asked.header.camera = generated.frame.header.camera;
+                // Without light there is none, and a light that is switched on again begins with the former.
+                if let Some(occlusion) = &generated.occlusion {
+                    self.occlusion = Some(occlusion.clone());
+                }
                 let (now, version) = (self.now_micros(), asked.header.look);
                 if version == self.session.control.talk().quietly().look.version() {
                     let look = self.session.control.talk().quietly().look.look().clone();

@@ -92,7 +92,13 @@ mod tests {
         let camera = Camera::new(request.pose, request.intrinsics, &bounds);
         let mut frame = LayeredFrame::empty(FrameHeader::alone(camera, 8));
         frame.depth = vec![0; num];
-        Generated { frame, _held: FrameMemory::new(0).nothing(), generate_micros, is_draft: false }
+        Generated {
+            frame,
+            _held: FrameMemory::new(0).nothing(),
+            generate_micros,
+            is_draft: false,
+            occlusion: None,
+        }
     }
 
     #[test]
