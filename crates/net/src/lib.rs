@@ -6,12 +6,15 @@
 
 pub mod client;
 mod clock;
+mod congestion;
 pub mod conditioner;
 mod control_stream;
 pub mod identity;
 mod journal;
 pub mod link;
 pub mod server;
+#[cfg(test)]
+mod simulation;
 mod talk;
 mod transport;
 mod work;

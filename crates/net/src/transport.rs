@@ -3,10 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use quinn::congestion::CubicConfig;
+use quinn::congestion::ControllerFactory;
 use quinn::{AckFrequencyConfig, IdleTimeout, TransportConfig, VarInt};
 
 use isinglass_core::wire::POSE_BYTES;
+
+use crate::congestion::DelayConfig;
 
 /// A side leaves by its own choice.
 pub(crate) const CLOSE_BYE: VarInt = VarInt::from_u32(0);
@@ -33,14 +35,12 @@ pub(crate) const SILENCE_LIMIT: Duration = Duration::from_secs(8);
 const KEEP_ALIVE: Duration = Duration::from_millis(500);
 const IDLE_MILLIS: u32 = 30_000;
 
-/// Settings of both sides. CUBIC, because quinn's BBR floods narrow links and nobody maintains it.
-fn common() -> TransportConfig {
-    let mut cubic = CubicConfig::default();
-    cubic.initial_window(64 * 1200);
+/// Settings of both sides.
+fn common(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConfig {
     let mut acks = AckFrequencyConfig::default();
     acks.ack_eliciting_threshold(2u32.into()).max_ack_delay(Some(Duration::from_millis(5)));
     let mut t = TransportConfig::default();
-    t.congestion_controller_factory(Arc::new(cubic))
+    t.congestion_controller_factory(congestion)
         .ack_frequency_config(Some(acks))
         .initial_rtt(Duration::from_millis(100))
         .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_MILLIS))));
@@ -48,8 +48,8 @@ fn common() -> TransportConfig {
 }
 
 /// The server accepts one control stream and small datagrams.
-pub(crate) fn server() -> TransportConfig {
-    let mut t = common();
+pub(crate) fn server(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConfig {
+    let mut t = common(congestion);
     t.max_concurrent_bidi_streams(1u32.into())
         .max_concurrent_uni_streams(0u32.into())
         .stream_receive_window((256u32 << 10).into())
@@ -62,7 +62,7 @@ pub(crate) fn server() -> TransportConfig {
 
 /// The client accepts frames. At 60 frames a second, 16 chunks each and a round trip of 300 ms, 300 streams are open.
 pub(crate) fn client() -> TransportConfig {
-    let mut t = common();
+    let mut t = common(Arc::new(DelayConfig::default()));
     t.max_concurrent_bidi_streams(0u32.into())
         .max_concurrent_uni_streams(1024u32.into())
         .stream_receive_window((32u32 << 20).into())

@@ -31,7 +31,6 @@ pub mod pose;
 pub mod probe;
 pub mod profile;
 pub mod rate;
-mod round_trip;
 pub mod schedule;
 pub mod screenshot;
 pub mod selection;

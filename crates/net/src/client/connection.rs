@@ -32,6 +32,8 @@ pub(super) struct Dialer {
     link: Link,
     name: String,
     conditioner: Option<LinkModel>,
+    /// Makes the sockets, in place of the system.
+    pub(super) sockets: Option<SocketSource>,
     config: quinn::ClientConfig,
     mismatch: Arc<Mismatch>,
     /// The link's token first, later the newest ticket.
@@ -39,6 +41,9 @@ pub(super) struct Dialer {
     instance: Token,
     random: Xoshiro256PlusPlus,
 }
+
+/// Makes a socket for each attempt to connect.
+pub(super) type SocketSource = Box<dyn Fn() -> (Arc<dyn AsyncUdpSocket>, EndpointConfig) + Send + Sync>;
 
 /// A connection that was welcomed.
 struct Dialed {
@@ -57,6 +62,7 @@ impl Dialer {
         Ok(Self {
             name: options.name.clone(),
             conditioner: options.conditioner.clone(),
+            sockets: None,
             config,
             mismatch,
             token,
@@ -155,6 +161,10 @@ impl Dialer {
             SocketAddr::V6(_) => ([0u16; 8], 0).into(),
         };
         let runtime = Arc::new(TokioRuntime);
+        if let Some(source) = &self.sockets {
+            let (socket, config) = source();
+            return Endpoint::new_with_abstract_socket(config, None, socket, runtime);
+        }
         let plain = runtime.wrap_udp_socket(std::net::UdpSocket::bind(any)?)?;
         let socket: Arc<dyn AsyncUdpSocket> = match &self.conditioner {
             Some(model) => ConditionedSocket::new(plain, model, shared.counters.clone()),

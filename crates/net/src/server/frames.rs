@@ -108,13 +108,22 @@ impl FrameSender {
         Ok(SentSlice(stream))
     }
 
-    /// The state of the link according to QUIC.
+    /// The state of the link according to the congestion control.
     pub fn link_state(&self) -> LinkState {
-        let path = self.link.connection.stats().path;
+        let gauge = &self.link.gauge;
+        let Some(bytes_per_second) = gauge.bytes_per_second() else {
+            // Before any data is acknowledged, or with a congestion control that knows no rates.
+            let path = self.link.connection.stats().path;
+            return LinkState {
+                bytes_per_second: path.cwnd as f64 / path.rtt.as_secs_f64().max(1e-3),
+                is_measured: false,
+                least_rtt_micros: path.min_rtt.as_micros() as u64,
+            };
+        };
         LinkState {
-            window_bytes: path.cwnd,
-            rtt_micros: path.rtt.as_micros() as u64,
-            least_rtt_micros: path.min_rtt.as_micros() as u64,
+            bytes_per_second,
+            is_measured: gauge.knows_rate(),
+            least_rtt_micros: gauge.least_rtt_micros(),
         }
     }
 

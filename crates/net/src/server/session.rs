@@ -17,6 +17,7 @@ use tracing::Instrument;
 use super::frames::{FrameSender, Pace};
 use super::{Admitted, Greeting, refuse};
 use crate::clock::Clock;
+use crate::congestion::LinkGauge;
 use crate::control_stream::{self, ReceiveError};
 use crate::journal::Journal;
 use crate::talk::{Talk, Talking, until_due};
@@ -85,6 +86,7 @@ impl Control {
 #[derive(Debug)]
 pub(super) struct ViewerLink {
     pub(super) connection: Connection,
+    pub(super) gauge: Arc<LinkGauge>,
     pub(super) talk: Talk<ServerSession>,
     pace: Mutex<Pace>,
     pub(super) journal: Journal,
@@ -112,7 +114,7 @@ impl Drop for CloseOnDrop {
 
 /// Serves one connection until it is over.
 pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
-    let Admitted { connection, mut send, recv, place, name, greeting } = admitted;
+    let Admitted { connection, gauge, mut send, recv, place, name, greeting } = admitted;
     let (id, viewer) = (place.session, place.viewer);
     let span = tracing::info_span!("session", id, viewer = viewer.0);
     let clock = place.shared.options.clock.clone();
@@ -120,6 +122,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let (version, look) = (greeting.look_version, greeting.look.clone());
     let link = Arc::new(ViewerLink {
         connection: connection.clone(),
+        gauge,
         talk: Talk::new(ServerSession::new(clock.now_micros(), viewer, version, look)),
         pace: Mutex::default(),
         journal: journal.clone(),
