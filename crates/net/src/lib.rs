@@ -6,8 +6,8 @@
 
 pub mod client;
 mod clock;
-mod congestion;
 pub mod conditioner;
+mod congestion;
 mod control_stream;
 pub mod identity;
 mod journal;

@@ -24,6 +24,8 @@ pub(crate) const CLOSE_SESSION: VarInt = VarInt::from_u32(4);
 pub(crate) const CLOSE_SILENT: VarInt = VarInt::from_u32(5);
 /// The frame of a stream is superseded.
 pub(crate) const RESET_SUPERSEDED: VarInt = VarInt::from_u32(1);
+/// The client has restored the rest of the stream from its parity.
+pub(crate) const STOP_REPAIRED: VarInt = VarInt::from_u32(3);
 /// The content of a stream is unusable.
 pub(crate) const STOP_UNUSABLE: VarInt = VarInt::from_u32(2);
 
@@ -56,7 +58,7 @@ pub(crate) fn server(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> Tr
         .receive_window((1u32 << 20).into())
         .send_window(64 << 10)
         .datagram_receive_buffer_size(Some(64 << 10))
-        .datagram_send_buffer_size(0);
+        .datagram_send_buffer_size(256 << 10);
     t
 }
 
@@ -67,8 +69,7 @@ pub(crate) fn client() -> TransportConfig {
         .max_concurrent_uni_streams(1024u32.into())
         .stream_receive_window((32u32 << 20).into())
         .receive_window((64u32 << 20).into())
-        // Servers send no datagrams, but quinn sends none either where it may receive none.
-        .datagram_receive_buffer_size(Some(2 * POSE_BYTES))
+        .datagram_receive_buffer_size(Some(256 << 10))
         // The newest wins: quinn drops the oldest datagrams of a full buffer.
         .datagram_send_buffer_size(2 * POSE_BYTES)
         .keep_alive_interval(Some(KEEP_ALIVE));

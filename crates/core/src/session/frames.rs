@@ -447,10 +447,7 @@ mod tests {
         assert!(FramesServer::is_outdated(&margin, &request(3, 0.0), LookVersion(2)));
         assert!(!FramesServer::is_outdated(&first, &request(3, 0.1), looks.version()), "a usual one is sent");
         // On a slow link a projection goes without its less visible segments first.
-        for (link, is_thinned) in [
-            (LINK, false),
-            (LinkState { bytes_per_second: 1e4, ..LINK }, true),
-        ] {
+        for (link, is_thinned) in [(LINK, false), (LinkState { bytes_per_second: 1e4, ..LINK }, true)] {
             let (mut frames, looks) = of_server();
             let asked = frames.begin(0, &request(1, 0.0), &looks, &BOUNDS);
             frames.choose_coding(link, asked, Mode::Mip, false);

@@ -10,6 +10,7 @@ mod decode;
 mod error;
 #[cfg(test)]
 pub(crate) mod model;
+mod parities;
 mod status;
 mod whole;
 

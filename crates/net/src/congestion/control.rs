@@ -46,6 +46,8 @@ pub(super) struct Control {
     competing: Option<Competing>,
     /// The end of a drain, µs.
     drained_at: Option<f64>,
+    /// Bytes that arrived and that were lost of late.
+    recent: (f64, f64),
     last: Option<(f64, f64)>,
 }
 
@@ -87,6 +89,7 @@ impl Control {
             queued_since: None,
             competing: None,
             drained_at: None,
+            recent: (0.0, 0.0),
             last: None,
         }
     }
@@ -118,6 +121,11 @@ impl Control {
         self.rate.is_some()
     }
 
+    /// The share of packets that were lost of late.
+    pub(super) fn loss(&self) -> f64 {
+        self.recent.1 / (self.recent.0 + self.recent.1).max(50.0 * self.mtu)
+    }
+
     /// The least round trip of the path, µs.
     pub(super) fn least_rtt(&self) -> f64 {
         self.least.get()
@@ -133,6 +141,10 @@ impl Control {
         self.least.add(now, rtt);
         self.smooth_rtt = if self.smooth_rtt > 0.0 { self.smooth_rtt * 0.875 + rtt * 0.125 } else { rtt };
         self.round.add(&batch, rtt, is_used);
+        self.recent.0 += batch.bytes;
+        if self.recent.0 > RECENT_PACKETS * self.mtu {
+            self.recent = (self.recent.0 / 2.0, self.recent.1 / 2.0);
+        }
         let least = self.least.get();
         if let Some(last) = self.last {
             let horizon = (2.0 * least).clamp(100e3, 400e3);
@@ -160,6 +172,7 @@ impl Control {
     /// Packets are lost.
     pub(super) fn handle_lost(&mut self, bytes: f64) {
         self.round.lost += bytes;
+        self.recent.1 += bytes;
     }
 
     /// A router marks packets because it queues them.
@@ -242,7 +255,15 @@ impl Control {
 impl Round {
     fn begin(now: f64) -> Self {
         let least_rtt = f64::INFINITY;
-        Self { begun_at: now, least_rtt, num_batches: 0, acked: 0.0, lost: 0.0, is_used: false, is_marked: false }
+        Self {
+            begun_at: now,
+            least_rtt,
+            num_batches: 0,
+            acked: 0.0,
+            lost: 0.0,
+            is_used: false,
+            is_marked: false,
+        }
     }
 
     fn add(&mut self, batch: &Batch, rtt: f64, is_used: bool) {
@@ -356,7 +377,7 @@ impl LeastRoundTrip {
 
     /// Whether no round trip was as short for long.
     fn is_old(&self, now: f64) -> bool {
-        now - self.met_at > LEAST_FOR_MICROS * 0.4
+        now - self.met_at > LEAST_FOR_MICROS * 0.8
     }
 }
 
@@ -373,11 +394,13 @@ const PACKETS_A_ROUND: f64 = 3.0;
 /// Share of the path's content that stays while it is drained.
 const DRAINING: f64 = 0.6;
 const LEAST_FOR_MICROS: f64 = 10e6;
-const NEAR_LEAST_MICROS: f64 = 4e3;
+const NEAR_LEAST_MICROS: f64 = 8e3;
 const FEWEST_BUSY_MICROS: f64 = 6e3;
 const FLOOR_MICROS: f64 = 20e3;
 const FEWEST_BATCHES: u32 = 3;
 const FEWEST_PACKETS: f64 = 4.0;
+/// Loss is that of about so many packets.
+const RECENT_PACKETS: f64 = 800.0;
 const MAX_WINDOW: f64 = (1u64 << 28) as f64;
 
 #[cfg(test)]

@@ -23,6 +23,8 @@ pub(crate) struct LinkGauge {
     bytes_per_second: AtomicU64,
     least_rtt_micros: AtomicU64,
     knows_rate: AtomicBool,
+    /// Millionths.
+    loss: AtomicU64,
     /// Bytes that may be in flight beyond the window, because the peer was heard while nothing is acknowledged.
     extra_bytes: AtomicU64,
 }
@@ -42,6 +44,11 @@ impl LinkGauge {
     /// Whether the rate is measured, and not only what has been sent so far.
     pub(crate) fn knows_rate(&self) -> bool {
         self.knows_rate.load(Ordering::Relaxed)
+    }
+
+    /// The share of packets that were lost of late.
+    pub(crate) fn loss(&self) -> f64 {
+        self.loss.load(Ordering::Relaxed) as f64 / 1e6
     }
 
     /// The least round trip of the path, µs; 0 if unknown.
@@ -105,6 +112,7 @@ impl DelayController {
         let rate = self.control.bytes_per_second().unwrap_or(0.0);
         gauge.bytes_per_second.store(rate as u64, Ordering::Relaxed);
         gauge.knows_rate.store(self.control.knows_rate(), Ordering::Relaxed);
+        gauge.loss.store((self.control.loss() * 1e6) as u64, Ordering::Relaxed);
         gauge.least_rtt_micros.store(self.control.least_rtt() as u64, Ordering::Relaxed);
     }
 }

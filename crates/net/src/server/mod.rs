@@ -19,9 +19,7 @@ use isinglass_core::session::pose::MAX_POSES_PER_SECOND;
 use isinglass_core::session::server::violation;
 use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
 use quinn::congestion::ControllerFactory;
-use quinn::{
-    Connection, Endpoint, EndpointConfig, Incoming, RecvStream, Runtime, SendStream, TokioRuntime,
-};
+use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, Runtime, SendStream, TokioRuntime};
 use tokio::sync::{Notify, mpsc};
 use tokio::time::Instant;
 use tracing::Instrument;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::codec::blocks::{Reference, References};
-use isinglass_core::codec::{Chunk, Coding};
+use isinglass_core::codec::{Chunk, Coding, HEADER_BYTES};
 use isinglass_core::ids::{FrameId, LookVersion};
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::Look;
@@ -115,7 +115,9 @@ pub(super) async fn serve(mut session: Session, renderer: Renderer) {
             }
             coded = Some(done);
         }
-        if sending.is_none() && let Some(next) = coded.take() {
+        if sending.is_none()
+            && let Some(next) = coded.take()
+        {
             schedule.handle_begun(now, Station::Send, lists);
             let (sender, header) = (session.frames.clone(), next.sending.asked.header);
             let (is_finer, chunks) = (next.sending.is_finer, vec![next.chunk]);
@@ -212,6 +214,8 @@ impl Coded {
         let mut chunk = encoded.chunks.swap_remove(0);
         let length = renderer.bytes_of(&sending.coding).max(chunk.bytes.len());
         chunk.bytes.resize(length, 0);
+        let payload_bytes = (length - HEADER_BYTES) as u32;
+        chunk.bytes[HEADER_BYTES - 4..HEADER_BYTES].copy_from_slice(&payload_bytes.to_le_bytes());
         Self { sending, is_predicted: reference.is_some(), reference: of_this, chunk }
     }
 }
