@@ -72,50 +72,53 @@ close() {
     jobs_to_end=()
 }
 
-# Waits until the lower right of the picture has not changed for 20 seconds, and is not black.
+# Waits until the window has not changed for ten seconds, and is not black.
 settle() {
     local before="" now same=0
     for _ in $(seq 150); do
         sleep 2
         kill -0 "${jobs_to_end[1]}" || { cat "$home/log"; exit 1; }
-        now=$(import -window root -gravity southeast -crop 70x50%+0+0 rgb:- | md5sum)
+        now=$(import -window root -gravity southeast -crop 80x70%+0+0 rgb:- | md5sum)
         if [ "$now" = "$before" ]; then same=$((same + 1)); else same=0; fi
         before=$now
-        if [ $same -ge 10 ] && [ "$(import -window root -format '%k' info:)" -gt 64 ]; then return; fi
+        if [ $same -ge 5 ] && [ "$(import -window root -format '%k' info:)" -gt 64 ]; then return; fi
     done
     echo "the picture never came to rest" >&2
     exit 1
 }
 
-# picture NAME KEY ARGUMENTS…: the window at rest, after KEY was pressed.
+# act KEYS: presses each of KEYS, and waits for the window after the last. X,Y is a click there.
+act() {
+    for key in $1; do
+        case $key in
+        *,*) xdotool mousemove "${key%,*}" "${key#*,}" sleep 0.5 click 1 ;;
+        *) xdotool search --onlyvisible --name isinglass windowfocus key "$key" ;;
+        esac
+        sleep 1
+    done
+    [ -z "$1" ] || settle
+}
+
+# picture NAME KEYS ARGUMENTS…: the window at rest, after KEYS.
 picture() {
-    local name=$1 key=$2
+    local name=$1 keys=$2
     shift 2
     [[ $chosen == "  " || $chosen == *" $name "* ]] || return 0
     open 1100x760 "$@"
     settle
-    if [ -n "$key" ]; then
-        xdotool mousemove 500 600 search --onlyvisible --name isinglass windowfocus key "$key"
-        settle
-    fi
+    act "$keys"
     import -window root -depth 8 -strip "docs/$name.png"
     close
     echo "docs/$name.png"
 }
 
-# look NAME WxH KEYS ARGUMENTS…: the window at rest in target/tour, after each of KEYS was pressed. X,Y is a click there.
+# look NAME WxH KEYS ARGUMENTS…: the window at rest in target/tour, after KEYS.
 look() {
     local name=$1 size=$2 keys=$3
     shift 3
     open "$size" "$@" --size "$size"
     settle
-    for key in $keys; do
-        case $key in
-        *,*) xdotool mousemove "${key%,*}" "${key#*,}" sleep 0.5 click 1 ;;
-        *) xdotool search --onlyvisible --name isinglass windowfocus key "$key" ;;
-        esac
-        settle
-    done
+    act "$keys"
     import -window root -depth 8 -strip "target/tour/$name.png"
     close
     echo "target/tour/$name.png"
@@ -183,3 +186,4 @@ picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2
 picture guide-iso "" demo tooth.nhdr --rtt 50ms --mode iso --iso 600:0.4,1000 --orbit 30,-50,2.8
 picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7
 picture guide-clip c demo mouse_brain.nrrd --rtt 50ms --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20
+picture guide-measure "x d 217,718 500,230 600,290" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2

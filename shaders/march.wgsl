@@ -1,7 +1,9 @@
 // The march through a volume: steps along a ray, classified and shaded, handed to sink_step. Twin of
 // crates/core/src/kernels/march.rs; the derivations are there.
 //
-// Parts after this one define what the mode makes of two neighbouring samples (march/*.wgsl), and what becomes of the steps:
+// Parts after this one define what matter sends to the eye (march/matte.wgsl or glossy.wgsl), what the mode makes of two
+// neighbouring samples (the other march/*.wgsl), and what becomes of the steps:
+//   fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f
 //   fn take(between: Between) -> u32
 // hands what is visible between them to
 //   fn sink_step(step: Step) -> u32

@@ -7,8 +7,9 @@ fn take(between: Between) -> u32 {
         return NO_STEP;
     }
     let alpha = opacity(tau);
-    let brightness = shade(between.origin + between.dir * (0.5 * (between.s0 + between.s1)));
-    return sink_step(Step(classified.xyz * (brightness * alpha), tau, between.s0, between.s1, alpha));
+    let p = between.origin + between.dir * (0.5 * (between.s0 + between.s1));
+    let c = sent(classified.xyz, alpha, p, between.dir);
+    return sink_step(Step(c, tau, between.s0, between.s1, alpha));
 }
 
 fn end_march(lattice: Lattice) {

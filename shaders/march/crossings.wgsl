@@ -29,7 +29,7 @@ fn take(between: Between) -> u32 {
         s = max(s, last);
         last = s;
         let alpha = opacity(surface.tau);
-        let c = surface.color * (shade(between.origin + between.dir * s) * alpha);
+        let c = sent(surface.color, alpha, between.origin + between.dir * s, between.dir);
         pace = crossing(Step(c, surface.tau, s, s, alpha), to_greater, between.lattice);
         if (pace == 0u) {
             break;

@@ -38,6 +38,13 @@ struct Scene {
     diffuse: f32,
     clip_normal: vec3f,
     clip_offset: f32,
+    // Highlights (core::kernels::march::Highlight).
+    light: vec3f,
+    specular: f32,
+    shininess: f32,
+    half_gradient: f32,
+    open_ambient: f32,
+    open_diffuse: f32,
 }
 
 // core::transfer::TransferTable, and more facts about values for a march (core::kernels::march::modes).

@@ -9,6 +9,7 @@ use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::march::{self, MarchSettings, Shading};
 use isinglass_core::kernels::raycast;
 use isinglass_core::layer::LayeredFrame;
+use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::Lighting;
 use isinglass_core::volume::procedural::Builtin;
@@ -200,6 +201,40 @@ fn pictures_of_several_dispatches_have_no_seams() {
         Picture { pixels: found.pixels.iter().cycle().skip(333).take(333 * 211).copied().collect(), ..found };
     Difference::of(&moved, &march::render(&scene, &camera)).assert_noticed("a row too many");
 }
+
+/// In every voxel type, for parallel rays too, with and without shade, in a medium and on surfaces.
+#[test]
+fn highlights_are_those_of_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    for (i, (name, scene)) in scenes().into_iter().enumerate() {
+        let mode = if i % 2 == 1 { Mode::Iso } else { Mode::Composite };
+        let ambient_occlusion = if i > 2 { 0.7 } else { 0.0 };
+        let lighting = Lighting { specular: 0.9, shininess: 25.0, ambient_occlusion, ..Lighting::default() };
+        let with = |lighting| {
+            let settings = MarchSettings { mode, ..MarchSettings::of(true, lighting) };
+            scene.with_look(&transfer(false), settings)
+        };
+        let glossy = with(lighting);
+        let perspective = camera(&scene, 25.0, (64, 48));
+        let distance = perspective.pose.eye.length();
+        let mut renderer = GpuRenderer::new(gpu, with(Lighting { specular: 0.0, ..lighting })).unwrap();
+        let matte = renderer.render(&perspective).unwrap();
+        renderer.set_scene(glossy.clone()).unwrap();
+        for camera in [perspective, perspective.to_orthographic(distance, &scene.volume.bounds())] {
+            let twin = march::render(&glossy, &camera);
+            Difference::of(&renderer.render(&camera).unwrap(), &twin).assert_tolerable(name);
+            let frame = renderer.generate(header(camera, 8)).unwrap();
+            frame.validate().unwrap();
+            let twin = layering::generate(&glossy, header(camera, 8));
+            Difference::of(&frame.flatten(), &twin.flatten()).assert_tolerable(name);
+        }
+        let shown = march::render(&glossy, &perspective);
+        Difference::of(&matte, &shown).assert_noticed("no highlights");
+        let duller = march::render(&with(Lighting { shininess: 20.0, ..lighting }), &perspective);
+        Difference::of(&duller, &shown).assert_noticed("another exponent");
+    }
+}
+
 #[test]
 fn what_does_not_fit_is_refused_by_name() {
     let Some(gpu) = gpu() else { return };

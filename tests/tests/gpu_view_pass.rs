@@ -5,7 +5,10 @@
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::layering;
+use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::kernels::{combine, raycast};
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_gpu::{Gpu, ViewPass, wgpu};
 use isinglass_tests::twins::{BACKGROUND, Difference, camera, gpu, header, scenes, views};
@@ -134,6 +137,32 @@ fn warming_up_draws_with_each_pipeline_and_leaves_no_trace() {
     assert_eq!(before, after);
     let twin = raycast::raycast(&frame, &bounds, &view).to_srgb8(BACKGROUND);
     Difference::of_srgb8(&after, &twin).assert_tolerable("after the warm-up");
+}
+
+/// The first picture of another mode waits for its pipeline, and the pass says so.
+#[test]
+fn a_picture_without_a_pipeline_is_not_painted_and_is_said_to_be_missing() {
+    let Some(gpu) = gpu() else { return };
+    let (_, scene) = scenes().swap_remove(2);
+    let bounds = scene.volume.bounds();
+    let (format, view) = (wgpu::TextureFormat::Rgba8Unorm, camera(&scene, 25.0, (40, 30)));
+    let of = |mode: Mode| {
+        let settings = MarchSettings { mode, ..scene.settings };
+        let scene = scene.with_look(&isinglass_formats::preset("shells").unwrap(), settings);
+        layering::generate(&scene, FrameHeader { mode, ..header(view, 8) })
+    };
+    let mut pass = ViewPass::new(gpu.device(), format).unwrap();
+    let warm_up = pass.warm_up(gpu.device(), gpu.queue()).unwrap();
+    let shown = |pass: &mut ViewPass, mode: Mode| {
+        pass.upload(gpu.device(), gpu.queue(), 0, &of(mode), &bounds).unwrap();
+        pass.prepare(gpu.queue(), &view, BACKGROUND);
+        let [_, painted] = paint(gpu, pass, format, (40, 30));
+        (pass.can_cast(), painted.iter().any(|byte| *byte != 0))
+    };
+    assert_eq!(shown(&mut pass, Mode::Composite), (true, true));
+    assert_eq!(shown(&mut pass, Mode::Mip), (false, false));
+    warm_up.run(None, gpu.device(), |commands| Some(gpu.queue().submit([commands]))).unwrap();
+    assert_eq!(shown(&mut pass, Mode::Mip), (true, true));
 }
 
 #[test]

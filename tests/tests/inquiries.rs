@@ -75,6 +75,8 @@ const SHADED: Lighting = Lighting {
     softness_degrees: 6.0,
     azimuth_degrees: 30.0,
     elevation_degrees: 50.0,
+    specular: 0.4,
+    shininess: 30.0,
 };
 
 /// What `render` writes for the same camera, look and background.

@@ -16,7 +16,7 @@ use isinglass_core::mode::{Iso, Isos, Mode};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use isinglass_core::volume::{Histogram, Volume, Voxels};
+use isinglass_core::volume::{Histogram, Lighting, Volume, Voxels};
 use isinglass_formats::{OpenOptions, default_preset, load_transfer, open};
 use isinglass_render::{Backend, BackendChoice};
 use isinglass_tests::{data_dir, twins};
@@ -58,6 +58,8 @@ fn looks(scene: &Scene, own: &TransferFunction) -> Vec<Look> {
     let two = Isos::new(&[at(0.5, 0.3), at(1.0, 1.0)]).unwrap();
     let four = Isos::new(&[at(0.5, 0.2), at(0.8, 0.4), at(1.0, 1.0), beyond]).unwrap();
     let with = |mode, isos| MarchSettings { mode, isos, ..scene.settings };
+    let gloss = Lighting { specular: 0.8, shininess: 30.0, ..Lighting::default() };
+    let shining = |mode, isos| MarchSettings { mode, isos, ..MarchSettings::of(true, gloss) };
     vec![
         ("composite", own.clone(), scene.settings),
         ("mip", own.clone(), with(Mode::Mip, Isos::default())),
@@ -66,6 +68,8 @@ fn looks(scene: &Scene, own: &TransferFunction) -> Vec<Look> {
         ("iso", own.clone(), with(Mode::Iso, Isos::default())),
         ("two surfaces", own.clone(), with(Mode::Iso, two)),
         ("four surfaces", own.clone(), with(Mode::Iso, four)),
+        ("highlights", own.clone(), shining(Mode::Composite, Isos::default())),
+        ("shining surfaces", own.clone(), shining(Mode::Iso, two)),
     ]
 }
 

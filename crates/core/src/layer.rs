@@ -369,6 +369,8 @@ fn half_from_f32(x: f32) -> u16 {
 /// Greatest optical depth of a segment: e^−1000 is zero in any picture, and a thousandth of such a segment still has
 /// a transmittance of e^−1.
 pub const TAU_MAX: f32 = 1000.0;
+/// Greatest colour that the wire carries. Shading can lift a colour above one.
+pub const COLOR_MAX: f32 = 1.25;
 /// Least key of a segment.
 pub const KEY_LEAST: f32 = 0.005;
 /// The number that replaces τ for a key of 1.

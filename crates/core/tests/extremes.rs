@@ -16,7 +16,7 @@ use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::volume::{Volume, VolumeError, VolumeInfo, Voxels};
+use isinglass_core::volume::{Lighting, Volume, VolumeError, VolumeInfo, Voxels};
 
 fn scene(voxels: [f32; 8], domain: Domain, spacing: f32) -> Scene {
     let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.2], opacity: x };
@@ -25,7 +25,8 @@ fn scene(voxels: [f32; 8], domain: Domain, spacing: f32) -> Scene {
     let voxels = Voxels::F32(voxels.into());
     let volume =
         Volume::new([2; 3], Vec3::splat(spacing), voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
-    Scene::new(Arc::new(volume), &transfer, MarchSettings::default())
+    let lighting = Lighting { specular: 1.0, shininess: 128.0, ..Lighting::default() };
+    Scene::new(Arc::new(volume), &transfer, MarchSettings::of(true, lighting))
 }
 
 fn is_finite(picture: &Picture) -> bool {

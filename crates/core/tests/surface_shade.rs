@@ -43,6 +43,8 @@ const OFF: Lighting = Lighting {
     softness_degrees: 0.0,
     azimuth_degrees: 90.0,
     elevation_degrees: 90.0,
+    specular: 0.0,
+    shininess: 20.0,
 };
 const OCCLUSION: Lighting = Lighting { ambient_occlusion: 1.0, ..OFF };
 const SHADOW: Lighting = Lighting { shadows: 1.0, ..OFF };

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use isinglass_core::volume::Lighting;
 use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
 
-use crate::error::{FormatError, io_error, shown, syntax_error};
+use crate::error::{FormatError, io_error, one_line, shown, syntax_error};
 use crate::source::read_file;
 use crate::state::SavedView;
 
@@ -24,11 +25,12 @@ pub struct Remembered {
 }
 
 impl Remembered {
-    /// Reads the file at `path`. A missing file holds no choices.
+    /// Reads the file at `path`. A missing file holds no choices. A value that cannot be used is left out, and `tell` gets
+    /// one line about it.
     ///
     /// # Errors
-    /// The file cannot be read, or it holds something else.
-    pub fn read(path: &Path) -> Result<Self, FormatError> {
+    /// The file cannot be read, or it is no TOML.
+    pub fn read(path: &Path, mut tell: impl FnMut(String)) -> Result<Self, FormatError> {
         if !path.try_exists().map_err(io_error(path))? {
             return Ok(Self::default());
         }
@@ -36,12 +38,43 @@ impl Remembered {
         let unsupported = |found| FormatError::Unsupported { path: shown(path), found, expected };
         let bytes = read_file(path, MAX_BYTES)?.ok_or_else(|| unsupported("a longer file"))?;
         let text = String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))?;
-        Self::parse(&text).map_err(syntax_error(path, &text))
+        let found: Table = toml::from_str(&text).map_err(syntax_error(path, &text))?;
+        Ok(Self::usable(found, |what, problem| tell(format!("{}: {what}: {problem}", shown(path)))))
     }
 
-    fn parse(text: &str) -> Result<Self, toml::de::Error> {
-        let read: Self = toml::from_str(text)?;
-        read.problem().map_or(Ok(read), |problem| Err(serde::de::Error::custom(problem)))
+    /// What is good in a table. `tell` gets the name of each other value, and what is wrong with it.
+    fn usable(found: Table, mut tell: impl FnMut(&str, &str)) -> Self {
+        let (mut good, mut usable) = (Table::new(), Self::default());
+        let mut take = |part: Option<&str>, key: String, value: Value| {
+            let mut tried = good.clone();
+            let place = match part {
+                Some(part) => tried.entry(part).or_insert_with(|| Table::new().into()).as_table_mut(),
+                None => Some(&mut tried),
+            };
+            let Some(place) = place else { return };
+            place.insert(key.clone(), value);
+            match Self::parse(tried.clone()) {
+                Ok(read) => (good, usable) = (tried, read),
+                Err(problem) => {
+                    let what = part.map_or(key.clone(), |part| format!("{part}.{key}"));
+                    tell(&one_line(&what), &one_line(&problem));
+                }
+            }
+        };
+        for (key, value) in found {
+            match value {
+                Value::Table(of_part) => {
+                    of_part.into_iter().for_each(|(name, value)| take(Some(&key), name, value));
+                }
+                value => take(None, key, value),
+            }
+        }
+        usable
+    }
+
+    fn parse(table: Table) -> Result<Self, String> {
+        let read: Self = table.try_into().map_err(|e: toml::de::Error| e.message().to_owned())?;
+        read.problem().map_or(Ok(read), Err)
     }
 
     /// The choices as TOML for [`Remembered::read`].
@@ -66,11 +99,8 @@ mod tests {
     use super::*;
     use crate::state::{Srgb, Theme};
 
-    #[test]
-    fn choices_are_read_as_they_are_written_and_wrong_ones_are_named() {
-        let folder = tempfile::TempDir::new().unwrap();
-        let file = folder.path().join("choices.toml");
-        assert_eq!(Remembered::read(&file).unwrap(), Remembered::default(), "there is no file yet");
+    /// Every choice, none of them the default.
+    fn all() -> Remembered {
         let view = SavedView {
             theme: Some(Theme::Light),
             background: Some(Srgb([1, 2, 3])),
@@ -78,26 +108,74 @@ mod tests {
             shows_legend: Some(true),
             ..SavedView::default()
         };
-        let light = Some(Lighting { ambient_occlusion: 0.25, ..Lighting::default() });
-        let chosen = Remembered { size: Some([1200, 800]), panel: Some(true), view, light };
-        for choices in [chosen, Remembered::default()] {
-            std::fs::write(&file, choices.to_toml()).unwrap();
-            assert_eq!(Remembered::read(&file).unwrap(), choices);
+        let light = Some(Lighting { ambient_occlusion: 0.25, shadows: 0.5, ..Lighting::default() });
+        Remembered { size: Some([1200, 800]), panel: Some(true), view, light }
+    }
+
+    /// What is read of a file, and how many values were left out.
+    fn read(text: &[u8]) -> (Result<Remembered, FormatError>, usize) {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("choices.toml");
+        std::fs::write(&file, text).unwrap();
+        let mut told = Vec::new();
+        let found = Remembered::read(&file, |line| told.push(line));
+        assert!(told.iter().all(|line| line.contains("choices.toml: ") && !line.contains('\n')), "{told:?}");
+        (found, told.len())
+    }
+
+    #[test]
+    fn choices_are_read_as_they_are_written() {
+        let nowhere = Path::new("/nowhere/choices.toml");
+        assert_eq!(Remembered::read(nowhere, |_| ()).unwrap(), Remembered::default(), "no file yet");
+        for choices in [all(), Remembered::default()] {
+            assert!(matches!(read(choices.to_toml().as_bytes()), (Ok(found), 0) if found == choices));
         }
-        for wrong in [
-            "size = [0, 5]",
-            "size = [-1, 5]",
-            "panel = 3",
-            "other = 1",
-            "[light]\nambient_occlusion = 7.0",
-            "[view]\nframe_scale = 0.0",
-            "\u{0}",
-        ] {
-            std::fs::write(&file, wrong).unwrap();
-            let problem = Remembered::read(&file).unwrap_err().to_string();
-            assert!(problem.contains("choices.toml"), "{wrong}: {problem}");
+        for wrong in [&b"\0"[..], b"size = ", b"\xff", &vec![b'#'; 1 << 20]] {
+            let problem = read(wrong).0.unwrap_err().to_string();
+            assert!(problem.contains("choices.toml"), "{problem}");
         }
-        std::fs::write(&file, vec![b'#'; 1 << 20]).unwrap();
-        assert!(Remembered::read(&file).is_err());
+    }
+
+    #[test]
+    fn a_bad_value_takes_no_other_with_it() {
+        let whole: Table = toml::from_str(&all().to_toml()).unwrap();
+        let bad = [
+            (None, "size", "[0, 5]", Remembered { size: None, ..all() }),
+            (None, "size", "[-1, 5]", Remembered { size: None, ..all() }),
+            (None, "panel", "3", Remembered { panel: None, ..all() }),
+            (None, "light", "7", Remembered { light: None, ..all() }),
+            (None, "other", "1", all()),
+            (Some("other"), "theme", "1", all()),
+            (Some("view"), "theme", "\"blue\"", of_view(|view| view.theme = None)),
+            (Some("view"), "background", "[1, 2]", of_view(|view| view.background = None)),
+            (Some("view"), "axes", "\"yes\"", of_view(|view| view.shows_axes = None)),
+            (Some("view"), "legend", "{}", of_view(|view| view.shows_legend = None)),
+            (Some("view"), "frame_scale", "0.0", all()),
+            (Some("light"), "ambient_occlusion", "7.0", of_light(|light| light.ambient_occlusion = 0.0)),
+            (Some("light"), "shadows", "\"some\"", of_light(|light| light.shadows = 0.0)),
+        ];
+        for (part, key, value, kept) in bad {
+            let mut table = whole.clone();
+            let value = toml::from_str::<Table>(&format!("x = {value}")).unwrap()["x"].clone();
+            let place = match part {
+                Some(part) => {
+                    table.entry(part).or_insert_with(|| Table::new().into()).as_table_mut().unwrap()
+                }
+                None => &mut table,
+            };
+            place.insert(key.into(), value);
+            let (found, num_told) = read(toml::to_string(&table).unwrap().as_bytes());
+            assert_eq!((found.unwrap(), num_told), (kept, 1), "{part:?} {key}");
+        }
+    }
+
+    fn of_view(change: impl Fn(&mut SavedView)) -> Remembered {
+        let mut all = all();
+        change(&mut all.view);
+        all
+    }
+
+    fn of_light(change: impl Fn(&mut Lighting)) -> Remembered {
+        Remembered { light: all().light.map(|mut light| (change(&mut light), light).1), ..all() }
     }
 }

@@ -205,8 +205,8 @@ impl Gpu {
     fn compile(&self, kernel: Kernel, entry: &'static str) -> wgpu::ComputePipeline {
         let layouts = self.layouts();
         let groups: &[Option<&wgpu::BindGroupLayout>] = match kernel {
-            Kernel::Render(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.picture)],
-            Kernel::Generate(kind, ..) => &[Some(layouts.scene(kind)), Some(&layouts.generate)],
+            Kernel::Render(purpose, _) => &[Some(layouts.scene(purpose.kind)), Some(&layouts.picture)],
+            Kernel::Generate(purpose) => &[Some(layouts.scene(purpose.kind)), Some(&layouts.generate)],
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
             // Owners make their pipelines of vertices and fragments.

@@ -69,6 +69,12 @@ pub(crate) struct Scene {
     pub(crate) diffuse: f32,
     pub(crate) clip_normal: [f32; 3],
     pub(crate) clip_offset: f32,
+    pub(crate) light: [f32; 3],
+    pub(crate) specular: f32,
+    pub(crate) shininess: f32,
+    pub(crate) half_gradient: f32,
+    pub(crate) open_ambient: f32,
+    pub(crate) open_diffuse: f32,
 }
 
 impl Scene {
@@ -77,6 +83,8 @@ impl Scene {
         let volume = &scene.volume;
         let Region { bounds, normal, offset } = scene.region();
         let lit = scene.illumination.lit();
+        let highlight = scene.highlight();
+        let (open_ambient, open_diffuse) = highlight.map_or((0.0, 0.0), |h| h.open);
         Self {
             bounds_min: bounds.min.into(),
             x_scale: scene.table.x_scale,
@@ -92,6 +100,12 @@ impl Scene {
             diffuse: lit.map_or(0.0, |lit| lit.diffuse),
             clip_normal: normal.into(),
             clip_offset: offset,
+            light: highlight.map_or([0.0; 3], |h| h.light.into()),
+            specular: highlight.map_or(0.0, |h| h.specular),
+            shininess: highlight.map_or(1.0, |h| h.shininess),
+            half_gradient: highlight.map_or(0.0, |h| h.half_gradient),
+            open_ambient,
+            open_diffuse,
         }
     }
 }

@@ -224,7 +224,7 @@ impl FrameTarget {
     /// Counts some rays twice at several thresholds, and chooses one.
     fn count(&self, gpu: &Gpu, scene: &SceneOnGpu, encoder: &mut wgpu::CommandEncoder) {
         let Some(BandOnGpu { generate, .. }) = self.bands.first() else { return };
-        let kernel = Kernel::Generate(scene.kind, scene.mode);
+        let kernel = Kernel::Generate(scene.purpose);
         let [count, choose] = ["count", "choose"].map(|entry| gpu.pipeline(kernel, entry));
         let stride = sample_stride(self.width, self.height);
         let groups = |side: u32, of: u32| side.div_ceil(stride).div_ceil(of);
@@ -249,7 +249,7 @@ impl FrameTarget {
         mut encoder: wgpu::CommandEncoder,
         wanted: Wanted<'_>,
     ) -> Result<Option<wgpu::CommandEncoder>, GpuError> {
-        let march = gpu.pipeline(Kernel::Generate(scene.kind, scene.mode), "generate");
+        let march = gpu.pipeline(Kernel::Generate(scene.purpose), "generate");
         let [sum_blocks, scan_blocks, compact] =
             ["sum_blocks", "scan_blocks", "compact"].map(|entry| gpu.pipeline(Kernel::Compact, entry));
         let is_slow = gpu.info().is_software || self.took > SLOW_FRAME;

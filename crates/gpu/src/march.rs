@@ -64,7 +64,7 @@ impl GpuRenderer {
         }
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
-            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, on_gpu.mode, Extent::Opaque), "render");
+            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.purpose, Extent::Opaque), "render");
             picture.draw_rows(gpu, &pipeline, &on_gpu.bind_group, &camera.into(), on_gpu.max_steps, rows)
         })
     }
@@ -85,7 +85,7 @@ impl GpuRenderer {
     fn render_to(&mut self, view: &View, extent: Extent) -> Result<Picture, GpuError> {
         let Self { gpu, on_gpu, picture, .. } = self;
         gpu.attempt("rendering", || {
-            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.kind, on_gpu.mode, extent), "render");
+            let pipeline = gpu.pipeline(Kernel::Render(on_gpu.purpose, extent), "render");
             picture.draw(gpu, &pipeline, &on_gpu.bind_group, view, on_gpu.max_steps)
         })
     }
@@ -105,7 +105,7 @@ impl GpuRenderer {
     ) -> Result<Option<LayeredFrame>, GpuError> {
         let Self { gpu, on_gpu, frame, scene, budget, .. } = self;
         gpu.attempt("generating a layered frame", || {
-            let mode = on_gpu.mode;
+            let mode = on_gpu.purpose.mode;
             let steps = on_gpu.max_steps;
             let target = match frame.take().filter(|target| target.fits(&header, steps)) {
                 Some(target) => frame.insert(target),

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use glam::Vec3;
 use isinglass_core::kernels::march;
 use isinglass_core::kernels::march::modes::{Surface, key_limit};
-use isinglass_core::mode::{MAX_ISOS, Mode};
+use isinglass_core::mode::MAX_ISOS;
 use isinglass_core::volume::{Lit, Occupancy, Volume, Voxels};
 
 use crate::device::{Gpu, bind};
 use crate::error::GpuError;
 use crate::gpu_types;
-use crate::shaders::TexelKind;
+use crate::shaders::{MarchPurpose, TexelKind};
 
 /// An uploaded scene. A new look rewrites two small buffers, and a texture if the light changes; the voxels stay.
 pub(crate) struct SceneOnGpu {
@@ -22,9 +22,8 @@ pub(crate) struct SceneOnGpu {
     uniform: wgpu::Buffer,
     table: wgpu::Buffer,
     occupancy: wgpu::Buffer,
-    /// How the kernels must read the voxels.
-    pub(crate) kind: TexelKind,
-    pub(crate) mode: Mode,
+    /// What the kernels must do.
+    pub(crate) purpose: MarchPurpose,
     /// Number of steps on the longest ray.
     pub(crate) max_steps: u32,
     /// Group 0 of the marching kernels.
@@ -45,7 +44,7 @@ impl SceneOnGpu {
             let bind_group = bind_scene(gpu, kind, [&uniform, &table, &occupancy], [&voxels, &shares]);
             let volume = Arc::clone(&scene.volume);
             let lit = scene.illumination.lit().cloned();
-            let (mode, max_steps) = (scene.settings.mode, scene.max_steps());
+            let (purpose, max_steps) = (purpose(kind, scene), scene.max_steps());
             let on_gpu = Self {
                 volume,
                 lit,
@@ -54,8 +53,7 @@ impl SceneOnGpu {
                 uniform,
                 table,
                 occupancy,
-                kind,
-                mode,
+                purpose,
                 max_steps,
                 bind_group,
             };
@@ -78,10 +76,10 @@ impl SceneOnGpu {
             if !is_lit_alike {
                 self.shares = upload_lit(gpu, scene, Some(&self.shares))?;
                 let buffers = [&self.uniform, &self.table, &self.occupancy];
-                self.bind_group = bind_scene(gpu, self.kind, buffers, [&self.voxels, &self.shares]);
+                self.bind_group = bind_scene(gpu, self.purpose.kind, buffers, [&self.voxels, &self.shares]);
                 self.lit = scene.illumination.lit().cloned();
             }
-            (self.mode, self.max_steps) = (scene.settings.mode, scene.max_steps());
+            (self.purpose, self.max_steps) = (purpose(self.purpose.kind, scene), scene.max_steps());
             self.write_look(gpu, scene);
             Ok(())
         })
@@ -98,6 +96,10 @@ impl SceneOnGpu {
         let peaks = if peaks.is_empty() { &unknown } else { peaks };
         gpu.queue().write_buffer(&self.occupancy, words.len() as u64 * 4, bytemuck::cast_slice(peaks));
     }
+}
+
+fn purpose(kind: TexelKind, scene: &march::Scene) -> MarchPurpose {
+    MarchPurpose { kind, mode: scene.settings.mode, is_glossy: scene.highlight().is_some() }
 }
 
 /// Uniform, table and occupancy; voxels and shares of light.

@@ -10,7 +10,7 @@ use wgpu::naga;
 use crate::gpu_types::{
     BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, Raycaster, Scene, WORKGROUP_SIDE,
 };
-use crate::shaders::{Extent, Frames, Kernel, Purpose, TexelKind};
+use crate::shaders::{Extent, Frames, Kernel, MarchPurpose, Purpose, TexelKind};
 
 /// A struct as (size, fields); a field as (name, offset, size).
 type Layout = (usize, Vec<(String, usize, usize)>);
@@ -58,7 +58,13 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             brick_dims,
             diffuse,
             clip_normal,
-            clip_offset
+            clip_offset,
+            light,
+            specular,
+            shininess,
+            half_gradient,
+            open_ambient,
+            open_diffuse
         }),
         layout!(Band { first_row, num_rows, first_pixel, num_pixels }),
         layout!(Raycaster {
@@ -105,6 +111,8 @@ fn all_purposes() -> Vec<Purpose> {
     purposes
 }
 
+const PLAIN: MarchPurpose = MarchPurpose { kind: TexelKind::Uint, mode: Mode::Composite, is_glossy: false };
+
 fn all_kernels() -> Vec<Kernel> {
     let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::Upscale];
     for purpose in all_purposes() {
@@ -112,9 +120,12 @@ fn all_kernels() -> Vec<Kernel> {
     }
     for kind in [TexelKind::Uint, TexelKind::Float] {
         for mode in Mode::ALL {
-            let extents = [Extent::Opaque, Extent::Through];
-            kernels.extend(extents.map(|extent| Kernel::Render(kind, mode, extent)));
-            kernels.push(Kernel::Generate(kind, mode));
+            for is_glossy in [false, true] {
+                let purpose = MarchPurpose { kind, mode, is_glossy };
+                let extents = [Extent::Opaque, Extent::Through];
+                kernels.extend(extents.map(|extent| Kernel::Render(purpose, extent)));
+                kernels.push(Kernel::Generate(purpose));
+            }
         }
     }
     kernels
@@ -176,7 +187,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 21] = [
+const TWINS: [&str; 22] = [
     include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
@@ -184,6 +195,7 @@ const TWINS: [&str; 21] = [
     include_str!("../../core/src/volume/bricks.rs"),
     include_str!("../../core/src/volume/lit.rs"),
     include_str!("../../core/src/kernels/march.rs"),
+    include_str!("../../core/src/kernels/march/glossy.rs"),
     include_str!("../../core/src/kernels/march/modes.rs"),
     include_str!("../../core/src/kernels/march/surfaces.rs"),
     include_str!("../../core/src/kernels/empty_space.rs"),
@@ -249,9 +261,8 @@ fn every_concatenation_is_valid() {
     let one_more = [&kernel.constants()[..], &[("IS_ANOTHER", 0.0)]].concat();
     assert!(check_with(&kernel.source(), &one_more).is_err());
     // Negative control: a call of a function that a missing part would define.
-    let without_sink = Kernel::Render(TexelKind::Uint, Mode::Composite, Extent::Opaque)
-        .source()
-        .replace("fn sink_step", "fn other_step");
+    let without_sink =
+        Kernel::Render(PLAIN, Extent::Opaque).source().replace("fn sink_step", "fn other_step");
     assert!(check(&without_sink).is_err());
 }
 
@@ -297,7 +308,7 @@ fn shared_structs_have_the_layout_of_their_mirrors() {
 
 #[test]
 fn a_shifted_or_renamed_field_is_noticed() {
-    let source = Kernel::Render(TexelKind::Uint, Mode::Composite, Extent::Opaque).source();
+    let source = Kernel::Render(PLAIN, Extent::Opaque).source();
     let layouts = rust_layouts();
     for (from, to) in [
         ("    x_scale: f32,\n    bounds_max: vec3f,\n", "    bounds_max: vec3f,\n    x_scale: f32,\n"),

@@ -68,14 +68,24 @@ impl Purpose {
     }
 }
 
+/// The purpose of a marching kernel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct MarchPurpose {
+    /// How the kernel reads the voxels.
+    pub(crate) kind: TexelKind,
+    pub(crate) mode: Mode,
+    /// Whether matter has highlights, for which a march reads 32 voxels a step.
+    pub(crate) is_glossy: bool,
+}
+
 /// A variant of a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kernel {
     /// Entry point `render`.
-    Render(TexelKind, Mode, Extent),
+    Render(MarchPurpose, Extent),
     /// Entry points `generate`, `count` and `choose`. K is read from a buffer: drivers take seconds to compile a
     /// kernel.
-    Generate(TexelKind, Mode),
+    Generate(MarchPurpose),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
     /// Entry point `empty_space`.
@@ -104,19 +114,18 @@ impl Kernel {
 
     pub(crate) fn source(self) -> String {
         let parts: &[&str] = match self {
-            Self::Render(kind, mode, extent) => {
-                let [generated, takes] = mode_parts(mode);
+            Self::Render(purpose, extent) => {
+                let mode = purpose.mode;
                 let crossings = if mode == Mode::Iso { BARE } else { "" };
                 let [extent, seen] = match mode {
                     Mode::Composite | Mode::Iso => [extent.part(), SEEN_OVER],
                     Mode::Mip | Mode::MinIp => ["", SEEN_GREATEST],
                     Mode::Average => ["", SEEN_MEAN],
                 };
-                let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
-                return [&march[..], &[extent, seen, RENDER]].concat().concat();
+                return [&purpose.parts()[..], &[crossings, extent, seen, RENDER]].concat().concat();
             }
-            Self::Generate(kind, mode) => {
-                let [generated, takes] = mode_parts(mode);
+            Self::Generate(purpose) => {
+                let mode = purpose.mode;
                 let crossings = if mode == Mode::Iso { SURFACES } else { "" };
                 let is_mean = format!("const IS_MEAN: bool = {};\n", mode == Mode::Average);
                 let list: &[&str] = match mode {
@@ -124,8 +133,8 @@ impl Kernel {
                     Mode::Mip | Mode::MinIp => &[PROJECTION, PROJECTION_KEYS],
                     Mode::Average => &[PROJECTION, PROJECTION_MEAN],
                 };
-                let march = [TYPES, SPACE, LAYER, kind.part(), MARCH, generated, takes, crossings];
-                return [&march[..], &[&is_mean, BUDGET, GENERATE, STREAM], list].concat().concat();
+                let parts = [&purpose.parts()[..], &[crossings, &is_mean, BUDGET, GENERATE, STREAM], list];
+                return parts.concat().concat();
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
@@ -141,14 +150,18 @@ impl Kernel {
     }
 }
 
-/// The parts that handle two samples in a mode: generated lines, and a file.
-fn mode_parts(mode: Mode) -> [&'static str; 2] {
-    match mode {
-        Mode::Composite => ["", ABSORPTION],
-        Mode::Mip => ["const IS_LEAST: bool = false;\n", KEYS],
-        Mode::MinIp => ["const IS_LEAST: bool = true;\n", KEYS],
-        Mode::Average => ["", MEAN],
-        Mode::Iso => ["", CROSSINGS],
+impl MarchPurpose {
+    /// The parts from the types to those that handle two samples in a mode: generated lines, and a file.
+    fn parts(self) -> [&'static str; 8] {
+        let [generated, takes] = match self.mode {
+            Mode::Composite => ["", ABSORPTION],
+            Mode::Mip => ["const IS_LEAST: bool = false;\n", KEYS],
+            Mode::MinIp => ["const IS_LEAST: bool = true;\n", KEYS],
+            Mode::Average => ["", MEAN],
+            Mode::Iso => ["", CROSSINGS],
+        };
+        let sent = if self.is_glossy { GLOSSY } else { MATTE };
+        [TYPES, SPACE, LAYER, self.kind.part(), MARCH, sent, generated, takes]
     }
 }
 
@@ -186,6 +199,8 @@ const PICTURE: &str = include_str!("../../../shaders/shared/picture.wgsl");
 const TEXELS_UINT: &str = include_str!("../../../shaders/shared/texels_uint.wgsl");
 const TEXELS_FLOAT: &str = include_str!("../../../shaders/shared/texels_float.wgsl");
 const MARCH: &str = include_str!("../../../shaders/march.wgsl");
+const MATTE: &str = include_str!("../../../shaders/march/matte.wgsl");
+const GLOSSY: &str = include_str!("../../../shaders/march/glossy.wgsl");
 const ABSORPTION: &str = include_str!("../../../shaders/march/absorption.wgsl");
 const KEYS: &str = include_str!("../../../shaders/march/keys.wgsl");
 const MEAN: &str = include_str!("../../../shaders/march/mean.wgsl");

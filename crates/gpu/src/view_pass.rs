@@ -202,6 +202,12 @@ impl ViewPass {
         !self.casts.are_coming() || self.casts.get(self.frames.cast().0, Channels::All).is_some()
     }
 
+    /// Whether the current pictures can be cast at all. Until then, nothing is painted.
+    pub fn can_cast(&self) -> bool {
+        let has = |purpose| self.casts.get(purpose, Channels::All).is_some();
+        !self.casts.are_coming() || has(self.frames.cast().0) || has(self.frames.cast_newest().0)
+    }
+
     /// The pipeline to cast with, and its group 0. `None` if it is not ready.
     fn cast(&self, channels: Channels) -> Option<(wgpu::RenderPipeline, wgpu::BindGroup)> {
         let wanted = self.frames.cast();

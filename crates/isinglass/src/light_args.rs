@@ -1,7 +1,9 @@
-//! The flags for the direction of the light and the strength of shade.
+//! The flags for the direction of the light, the strength of shade, and highlights.
 
 use clap::Args;
-use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES};
+use isinglass_core::volume::{
+    Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SHININESS_MAX, SOFTNESS_MAX_DEGREES,
+};
 
 /// Flags that are not given keep the defaults of a look.
 #[derive(Args, Clone, Debug)]
@@ -22,6 +24,12 @@ pub(crate) struct LightArgs {
     /// Direction of the light, in degrees like the eye's in --orbit, fixed to the volume [default: -34.29,36.9]
     #[arg(long, value_name = "AZ,EL", value_parser = parse_light, allow_hyphen_values = true)]
     light: Option<[f32; 2]>,
+    /// Highlights: how strongly shaded matter mirrors the light, 0 to 1
+    #[arg(long, value_name = "S", value_parser = parse_strength, default_value_t = Lighting::default().specular)]
+    specular: f32,
+    /// Exponent of the highlights, 1 to 128: the higher, the smaller they are
+    #[arg(long, value_name = "N", value_parser = parse_shininess, default_value_t = Lighting::default().shininess)]
+    shininess: f32,
 }
 
 impl LightArgs {
@@ -36,6 +44,8 @@ impl LightArgs {
             softness_degrees: self.softness,
             azimuth_degrees,
             elevation_degrees,
+            specular: self.specular,
+            shininess: self.shininess,
         }
     }
 }
@@ -50,6 +60,10 @@ fn parse_reach(text: &str) -> Result<f32, String> {
 
 fn parse_softness(text: &str) -> Result<f32, String> {
     within(text, 0.0, SOFTNESS_MAX_DEGREES)
+}
+
+fn parse_shininess(text: &str) -> Result<f32, String> {
+    within(text, 1.0, SHININESS_MAX)
 }
 
 fn within(text: &str, least: f32, most: f32) -> Result<f32, String> {
@@ -80,6 +94,10 @@ mod tests {
         assert_eq!(parse_strength("0.5"), Ok(0.5));
         for bad in ["-0.1", "1.01", "x", "nan"] {
             assert!(parse_strength(bad).is_err(), "{bad}");
+        }
+        assert_eq!(parse_shininess("128"), Ok(128.0));
+        for bad in ["0.5", "129", "-20", "nan"] {
+            assert_eq!(parse_shininess(bad), Err("expected 1 to 128".into()), "{bad}");
         }
     }
 }

@@ -82,13 +82,12 @@ impl Seen {
 
     /// Whether a flag was given that changes the look.
     pub(crate) fn has_flags_of_look(&self) -> bool {
-        OF_LOOK.iter().any(|field| self.given.has(field))
+        OF_LOOK.iter().chain(&OF_LIGHT).any(|field| self.given.has(field))
     }
 
     /// Whether a flag was given, or the state has a look, so that the light is chosen.
     pub(crate) fn has_flags_of_light(&self) -> bool {
-        let fields = ["ambient_occlusion", "occlusion_radius", "shadows", "softness", "light"];
-        self.state.look.is_some() || fields.iter().any(|field| self.given.has(field))
+        self.state.look.is_some() || OF_LIGHT.iter().any(|field| self.given.has(field))
     }
 
     /// Names of possible input files for a picture.
@@ -208,7 +207,7 @@ impl Seen {
         let Look { transfer, shaded, lighting, k, clip, mode, isos } = flags;
         let mut look = saved;
         let has = |field| {
-            debug_assert!(OF_LOOK.contains(&field), "{field}");
+            debug_assert!(OF_LOOK.contains(&field) || OF_LIGHT.contains(&field), "{field}");
             self.given.has(field)
         };
         if has("tf") {
@@ -232,6 +231,12 @@ impl Seen {
         if has("light") {
             let Lighting { azimuth_degrees, elevation_degrees, .. } = lighting;
             look.lighting = Lighting { azimuth_degrees, elevation_degrees, ..look.lighting };
+        }
+        if has("specular") {
+            look.lighting.specular = lighting.specular;
+        }
+        if has("shininess") {
+            look.lighting.shininess = lighting.shininess;
         }
         if has("k") {
             look.k = k;
@@ -335,18 +340,7 @@ fn turned(pose: Pose, up: Vec3, degrees: f32, bounds: &Aabb) -> Pose {
     }
 }
 
-/// The fields of the flags that change the look.
-const OF_LOOK: [&str; 12] = [
-    "tf",
-    "shading",
-    "mode",
-    "iso",
-    "clip_box",
-    "clip_plane",
-    "ambient_occlusion",
-    "occlusion_radius",
-    "shadows",
-    "softness",
-    "light",
-    "k",
-];
+/// The fields of the flags that change the look without its light, and those of the light.
+const OF_LOOK: [&str; 7] = ["tf", "shading", "mode", "iso", "clip_box", "clip_plane", "k"];
+const OF_LIGHT: [&str; 7] =
+    ["ambient_occlusion", "occlusion_radius", "shadows", "softness", "light", "specular", "shininess"];

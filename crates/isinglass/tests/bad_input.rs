@@ -35,6 +35,8 @@ fn bad_usage_is_code_2() {
         ("render builtin:cloud@8 -o out.png --background red", &["red", "#20242c"]),
         ("render builtin:cloud@8 -o none/out.png", &["no folder none"]),
         ("render builtin:cloud@8 -o out.png --shading maybe", &["maybe", "on, off"]),
+        ("render builtin:cloud@8 -o out.png --specular 1.5", &["1.5", "0 to 1"]),
+        ("render builtin:cloud@8 -o out.png --shininess 0", &["1 to 128"]),
         ("render builtin:cloud@8 -o out.png --focus 2", &["--aperture", "--stereo"]),
         ("render builtin:cloud@8 -o out.png --anaglyph", &["--stereo"]),
         ("render builtin:cloud@8 -o out.png --samples 8", &["--shutter"]),

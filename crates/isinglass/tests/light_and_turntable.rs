@@ -25,9 +25,21 @@ fn shade_changes_the_picture_and_strengths_of_zero_do_not() {
         ("shadows.png", "--shadows 1"),
         ("light.png", "--light 120,-20"),
         ("unshaded.png", "--shading off --shadows 1"),
+        ("glossy.png", "--specular 0.6"),
+        ("glossier.png", "--specular 0.6 --shininess 90"),
     ] {
         render(file, flags);
         assert!(error("bare.png", file) > 8, "{flags}");
+    }
+    assert!(error("glossy.png", "glossier.png") > 8, "the exponent counts");
+    // Without strength the exponent does not count, and matter without shading has no highlights.
+    for (file, flags, plain) in [
+        ("dull.png", "--specular 0 --shininess 90", ""),
+        ("flat.png", "--shading off --specular 0.6", "--shading off"),
+    ] {
+        render(file, flags);
+        render("plain.png", plain);
+        assert_eq!(error(file, "plain.png"), 0, "{flags}");
     }
     // A shaded frame in layers is the picture with the same shade.
     bench.ok(&format!("layers builtin:cubus@32 --ambient-occlusion 1 --shadows 1 -o a.iglf {RENDER}"));

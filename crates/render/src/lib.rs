@@ -13,12 +13,11 @@ use isinglass_core::kernels::combine;
 use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::layering::{self, FrameMaker};
 use isinglass_core::kernels::lens::{self, View};
-use isinglass_core::kernels::march::{self, MarchSettings, Scene};
+use isinglass_core::kernels::march::{self, Scene};
 use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_core::transfer::TransferFunction;
 
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
 
@@ -223,11 +222,6 @@ impl Renderer {
                 Ok(())
             }
         }
-    }
-
-    /// Gives the same volume another look. `transfer` must be valid.
-    pub fn set_look(&mut self, transfer: &TransferFunction, settings: MarchSettings) -> Result<(), GpuError> {
-        self.set_scene(self.scene().with_look(transfer, settings))
     }
 
     /// The picture from a camera by full volume rendering, premultiplied linear.

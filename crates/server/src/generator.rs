@@ -10,7 +10,7 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::Detail;
+use isinglass_core::volume::{Detail, Occlusion};
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, Work};
 use isinglass_render::{Backend, Renderer};
@@ -34,6 +34,18 @@ pub(crate) struct Generated {
     pub(crate) generate_micros: u64,
     /// Whether the shade is a draft, so that [`Lights::scene`] can provide a finer one.
     pub(crate) is_draft: bool,
+    /// The ambient occlusion of a frame that is no draft.
+    pub(crate) occlusion: Option<Occlusion>,
+}
+
+/// How a viewer wants its frame.
+pub(crate) struct Wanted {
+    /// A valid look.
+    pub(crate) look: Look,
+    /// The ambient occlusion of this viewer's last frame that had all of its shade. A draft borrows it.
+    pub(crate) near: Option<Occlusion>,
+    pub(crate) header: FrameHeader,
+    pub(crate) wish: Wish,
 }
 
 /// Whether a frame is still wanted. Clones share the answer.
@@ -92,9 +104,7 @@ type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;
 
 struct FrameJob {
     scene: SceneNumber,
-    look: Look,
-    header: FrameHeader,
-    wish: Wish,
+    wanted: Wanted,
     reply: Reply<Generated>,
 }
 
@@ -149,19 +159,17 @@ impl Generator {
         Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)) })
     }
 
-    /// The frame for `header` of a scene under a valid look, while the wish holds. `None` if the thread has ended.
+    /// A frame of a scene, while the wish holds. `None` if the thread has ended.
     ///
     /// # Errors
     /// If this frame cannot be made.
     pub(crate) async fn generate(
         &self,
         scene: SceneNumber,
-        look: Look,
-        header: FrameHeader,
-        wish: Wish,
+        wanted: Wanted,
     ) -> Option<Result<Generated, GenerateError>> {
         let (reply, answer) = oneshot::channel();
-        let order = Box::new(FrameJob { scene, look, header, wish, reply });
+        let order = Box::new(FrameJob { scene, wanted, reply });
         self.jobs.send(Job::Frame(order)).await.ok()?;
         answer.await.ok()
     }
@@ -273,18 +281,21 @@ impl RenderThread {
 
     fn generate(&mut self, order: &FrameJob) -> Result<Generated, GenerateError> {
         let started = Instant::now();
-        self.prepare(order.scene, &order.look, None)?;
-        let (renderer, wanted) = (&mut self.renderer, || order.wish.holds());
-        let work = || renderer.generate_while(order.header, &wanted);
+        let Wanted { look, near, header, wish } = &order.wanted;
+        self.prepare(order.scene, look, near.as_ref(), None)?;
+        let (renderer, wanted) = (&mut self.renderer, || wish.holds());
+        let work = || renderer.generate_while(*header, &wanted);
         let frame = self.after_work.run(Work::Generate, work)?;
         let frame = frame.ok_or(GenerateError::GivenUp)?;
         let is_draft = !self.is_final();
-        Ok(Generated { frame, generate_micros: started.elapsed().as_micros() as u64, is_draft })
+        let occlusion = self.renderer.scene().illumination.occlusion().filter(|_| !is_draft);
+        let generate_micros = started.elapsed().as_micros() as u64;
+        Ok(Generated { frame, generate_micros, is_draft, occlusion })
     }
 
     /// Renders as many rows of a picture as take no longer than a frame.
     fn rows(&mut self, order: &RowsJob) -> Result<Picture, GenerateError> {
-        self.prepare(order.scene, &order.look, order.lit.as_ref())?;
+        self.prepare(order.scene, &order.look, None, order.lit.as_ref())?;
         let Intrinsics { width, height, .. } = order.camera.intrinsics;
         let num_pixels = match self.renderer {
             Renderer::Gpu(_) => GPU_PIXELS,
@@ -294,8 +305,15 @@ impl RenderThread {
         Ok(self.renderer.render_rows(&order.camera, order.first..end)?)
     }
 
-    /// Sets a look: with all of its shade if that is known or given, else with a draft.
-    fn prepare(&mut self, scene: SceneNumber, look: &Look, lit: Option<&Scene>) -> Result<(), GenerateError> {
+    /// Sets a look: with all of its shade if that is known or given, else with a draft. The scene may have the look of
+    /// any viewer, so its ambient occlusion is not taken.
+    fn prepare(
+        &mut self,
+        scene: SceneNumber,
+        look: &Look,
+        near: Option<&Occlusion>,
+        lit: Option<&Scene>,
+    ) -> Result<(), GenerateError> {
         if scene != self.scene {
             return Err(GenerateError::OtherVolume);
         }
@@ -310,12 +328,8 @@ impl RenderThread {
             None if is_set => return Ok(()),
             None => {
                 let settings = MarchSettings { detail: Detail::Draft, ..look.march_settings() };
-                let has_any = self.renderer.scene().illumination.has_occlusion();
-                let occluded = self.lights.occluded().filter(|_| look.lighting.is_on() && !has_any);
-                match occluded {
-                    Some(scene) => self.renderer.set_scene(scene.with_look(&look.transfer, settings))?,
-                    None => self.renderer.set_look(&look.transfer, settings)?,
-                }
+                let draft = self.renderer.scene().with_look_near(&look.transfer, settings, near);
+                self.renderer.set_scene(draft)?;
             }
         }
         self.look = look.clone();
@@ -333,3 +347,6 @@ const MAX_JOBS: usize = 16;
 /// and much less on a GPU.
 const CPU_PIXELS: u32 = 1 << 16;
 const GPU_PIXELS: u32 = 1 << 20;
+
+#[cfg(test)]
+mod tests;

@@ -59,13 +59,6 @@ impl Lights {
         scenes.last().map(|(_, scene)| scene.clone())
     }
 
-    /// The newest scene with ambient occlusion, whatever its look.
-    pub(crate) fn occluded(&self) -> Option<Scene> {
-        let scenes = self.scenes();
-        let mut occluded = scenes.iter().rev().filter(|(_, scene)| scene.illumination.has_occlusion());
-        occluded.next().map(|(_, scene)| scene.clone())
-    }
-
     /// The scene of a look, computed if necessary. `None` if that failed.
     pub(crate) async fn scene(&self, look: &Look) -> Option<Scene> {
         let turn = self.turns.clone().acquire_owned().await.ok()?;
@@ -76,7 +69,9 @@ impl Lights {
         // The requester may leave meanwhile. The result serves the next one, whose turn comes when this has ended.
         let work = tokio::task::spawn_blocking(move || {
             let _turn = turn;
-            let scene = base.with_look(&look.transfer, look.march_settings());
+            // What the newest look has in common with this one need not be worked out again.
+            let newest = lock(&known).last().map_or_else(|| (*base).clone(), |(_, scene)| scene.clone());
+            let scene = newest.with_look(&look.transfer, look.march_settings());
             let mut known = lock(&known);
             if known.len() == MAX_KNOWN {
                 known.remove(0);

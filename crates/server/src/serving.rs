@@ -11,6 +11,7 @@ use isinglass_core::ids::LookVersion;
 use isinglass_core::session::frames::FramesServer;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::selection::Load;
+use isinglass_core::volume::Occlusion;
 use isinglass_net::{AfterWork, Journal, Server, Session};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
@@ -94,6 +95,8 @@ struct Viewer {
     resting: Option<Sent>,
     /// Whether this is its first connection.
     is_new: bool,
+    /// The ambient occlusion of the last frame that was no draft.
+    occlusion: Option<Occlusion>,
     /// The shade that is being computed, with its look version.
     refining: Option<(LookVersion, JoinHandle<bool>)>,
     screenshots: Screenshots,
@@ -132,6 +135,7 @@ impl Viewer {
             sent: References::default(),
             resting: None,
             is_new,
+            occlusion: None,
             refining: None,
             screenshots,
             slices,
@@ -243,7 +247,7 @@ impl Viewer {
             talk.slices.handle_volume(since);
         }
         self.frames.handle_volume();
-        (self.resting, self.sent) = (None, References::default());
+        (self.resting, self.sent, self.occlusion) = (None, References::default(), None);
         self.tell_parts();
         self.tell_oddities();
     }

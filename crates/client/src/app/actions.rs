@@ -63,6 +63,7 @@ impl<S: FrameSource> ViewerApp<S> {
                 Action::Measure => self.toggle_measures(now),
                 Action::Picture => self.wants_picture = true,
                 Action::PictureDialog => self.screenshots.toggle_dialog(),
+                Action::RecordPath => self.toggle_recording(now),
                 Action::Mode => self.next_modes += 1,
                 Action::Undo | Action::Redo => {
                     let Some(scale) = self.value_scale() else { continue };

@@ -24,6 +24,7 @@ impl<S: FrameSource> ViewerApp<S> {
             let line = Panel::bottom("status line").frame(bar(&ctx)).exact_size(STATUS_HEIGHT);
             line.show(ui, |ui| self.status_line(ui));
             self.show_look_panel(ui, now);
+            self.show_measure_bar(ui);
         }
         self.room = ui.available_rect_before_wrap();
         self.show_slices(ui);
@@ -38,6 +39,8 @@ impl<S: FrameSource> ViewerApp<S> {
             has_clip_handles: self.clip_editor.is_shown,
             has_probe: self.probe.is_on(),
             is_measuring: self.is_measuring(),
+            is_recording: self.recording.is_some(),
+            has_path: self.screenshots.has_path(),
             shows_axes: self.aids.shows_axes,
             shows_box: self.aids.shows_box,
             shows_slices: self.slices.is_on(),
@@ -53,6 +56,7 @@ impl<S: FrameSource> ViewerApp<S> {
         match wish {
             Some(ToolbarWish::Act(action)) => self.chosen_actions.push(action),
             Some(ToolbarWish::Show(mode)) => self.chosen_mode = Some(mode),
+            Some(ToolbarWish::MovieOfPath) => self.screenshots.open_for_path(),
             Some(ToolbarWish::TurnUp(axis)) => self.turn_up(now, axis),
             Some(ToolbarWish::View(wish)) => self.do_named_view(now, wish),
             None => {}
@@ -84,7 +88,11 @@ impl<S: FrameSource> ViewerApp<S> {
     /// The room for panes at the top: beside the badge, or below it if there is too little.
     pub(super) fn room_at_top(&self) -> Rect {
         let room = self.room;
-        let taken = if self.shows_bars { status::size_taken(self.shows_numbers) } else { egui::Vec2::ZERO };
+        let taken = if self.shows_bars {
+            status::size_taken(room.width(), self.shows_numbers)
+        } else {
+            egui::Vec2::ZERO
+        };
         match room.width() - taken.x >= LEAST_ROOM_AT_TOP {
             true => room.with_min_x(room.left() + taken.x),
             false => room.with_min_y(room.top() + taken.y),

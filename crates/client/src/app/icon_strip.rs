@@ -45,7 +45,6 @@ pub(crate) fn show(ui: &mut Ui, sections: &[&'static str], content: impl FnOnce(
 fn icon_of(section: &str) -> Icon {
     match section {
         "Presets" => Icon::LayoutGrid,
-        "Surfaces" => Icon::Layers2,
         "Light" => Icon::Sun,
         "Clip" => Icon::Crop,
         "View" => Icon::Eye,

@@ -1,17 +1,20 @@
-//! Measuring in the window: events of points, the pane, and the values along a line.
+//! Measuring in the window: events of points, the bar, and the values along a line.
 
 use std::sync::Arc;
 use std::time::Duration;
 
+use egui::Panel;
 use isinglass_core::clip::Region;
 use isinglass_formats::MAX_MEASURES;
 use isinglass_net::ReceivedFrame;
 
 use super::{ViewerApp, is_free};
+use crate::input::bindings::Action;
 use crate::paint::clip_editor::ClipView;
 use crate::paint::measure::Ground;
 use crate::paint::view_aids::pixel_at;
 use crate::panels::slices::PaneView;
+use crate::panels::style::bar;
 use crate::panels::{measure, slices};
 use crate::view::frame_source::FrameSource;
 use crate::view::pick::visible_point;
@@ -71,7 +74,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// Draws the measurements, shows their pane, and asks for the values along the shown line.
+    /// Draws the measurements, and asks for the values along the shown line.
     pub(super) fn show_measures(&mut self, ui: &egui::Ui, rect: egui::Rect, refresh: &Refresh) {
         if !self.measures.is_on || !self.stereo().is_mono() {
             return;
@@ -88,17 +91,28 @@ impl<S: FrameSource> ViewerApp<S> {
             self.measures.paint(&slices::pen(&painter), &pane, &scale);
         }
         let answer = self.viewing.source().talk().profile.answer().cloned();
-        self.measure_pane.note_answer(answer.as_ref());
-        if let Some(wanted) = self.measure_pane.wanted(self.measures.measures(), &description) {
+        self.measure_bar.note_answer(answer.as_ref());
+        if let Some(wanted) = self.measure_bar.wanted(self.measures.measures(), &description) {
             let id = self.viewing.source().talk().profile.ask(wanted.ends(), wanted.num_points);
-            self.measure_pane.note_asked(&wanted, id);
+            self.measure_bar.note_asked(&wanted, id);
         }
-        if self.has_dialog() || !self.shows_bars {
+    }
+
+    /// Shows the bar of the measurements at the bottom of `ui`.
+    pub(super) fn show_measure_bar(&mut self, ui: &mut egui::Ui) {
+        let description = self.viewing.source().description();
+        let Some(description) = description.filter(|_| self.measures.is_on && self.stereo().is_mono()) else {
             return;
+        };
+        let ctx = ui.ctx().clone();
+        let bar = Panel::bottom("measure bar").frame(bar(&ctx)).exact_size(self.measure_bar.height());
+        let (bindings, wake) = (&self.options.bindings, waker_of(&ctx));
+        let is_closed = bar.show(ui, |ui| {
+            self.measure_bar.show(ui, &mut self.measures, &description.volume, bindings, &wake)
+        });
+        if is_closed.inner {
+            self.chosen_actions.push(Action::Measure);
         }
-        let (room, ctx) = (self.room_at_top(), ui.ctx());
-        let volume = &description.volume;
-        self.measure_pane.show(ctx, room, &mut self.measures, volume, &waker_of(ctx));
     }
 
     /// A click in the picture means a point, not the centre of rotation.

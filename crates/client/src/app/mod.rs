@@ -8,6 +8,7 @@ mod icon_strip;
 mod measure;
 pub(crate) mod open_dialog;
 pub(crate) mod options;
+mod path;
 mod picture;
 mod refresh;
 pub(crate) mod script;
@@ -33,6 +34,7 @@ use self::choices::ChoiceKeeper;
 use self::measure::SeenPicture;
 use self::open_dialog::OpenDialog;
 use self::options::{USUAL_HZ, WindowOptions};
+use self::path::Recording;
 use self::shown_volume::ShownVolume;
 use self::state::ComingState;
 pub(crate) use self::state::theme_preference;
@@ -49,7 +51,7 @@ use crate::paint::stereo::Stereo;
 use crate::paint::view_aids::ViewAids;
 use crate::panels::gallery::Gallery;
 use crate::panels::hints::Hints;
-use crate::panels::measure::MeasurePane;
+use crate::panels::measure::MeasureBar;
 use crate::panels::parts_bar::PartsBar;
 use crate::panels::probe::ValueProbe;
 use crate::panels::screenshots::Screenshots;
@@ -146,9 +148,10 @@ pub(crate) struct ViewerApp<S> {
     pointer: Pointer,
     probe: ValueProbe,
     measures: MeasureEditor,
-    measure_pane: MeasurePane,
+    measure_bar: MeasureBar,
     seen_picture: Option<SeenPicture>,
     screenshots: Screenshots,
+    recording: Option<Recording>,
     gallery: Gallery,
     slices: SlicePanes,
     wants_picture: bool,
@@ -221,9 +224,10 @@ impl<S: FrameSource> ViewerApp<S> {
             pointer: Pointer::default(),
             probe: ValueProbe::default(),
             measures: MeasureEditor::default(),
-            measure_pane: MeasurePane::default(),
+            measure_bar: MeasureBar::default(),
             seen_picture: None,
             screenshots: Screenshots::default(),
+            recording: None,
             gallery: Gallery::default(),
             slices: SlicePanes::default(),
             wants_picture: false,
@@ -254,7 +258,8 @@ impl<S: FrameSource> ViewerApp<S> {
         self.slices.forget();
         self.shown_volume = None;
         self.measures.set(Vec::new());
-        (self.measure_pane, self.seen_picture) = (MeasurePane::default(), None);
+        (self.measure_bar, self.seen_picture) = (MeasureBar::default(), None);
+        self.recording = None;
         self.keeper.turn();
         (self.coming, self.wish) = (state.map(ComingState::new), None);
         let now = Duration::from_micros(self.clock.now_micros());
@@ -287,6 +292,11 @@ impl<S: FrameSource> ViewerApp<S> {
     /// Opens the list of files over the picture.
     pub(crate) fn open_file_dialog(&mut self, ctx: &egui::Context) {
         self.open_dialog.open(ctx);
+    }
+
+    /// Opens that list at a volume, with its size and parts. `is_folder` if the files in it are the volume together.
+    pub(crate) fn open_file_dialog_at(&mut self, ctx: &egui::Context, volume: PathBuf, is_folder: bool) {
+        self.open_dialog.open_at(ctx, volume, is_folder);
     }
 
     /// Opens a file of a state, or of colours and opacities.

@@ -40,6 +40,14 @@ impl OpenDialog {
         browser.focus();
     }
 
+    /// Opens the dialog at a volume. See [`Browser::select_volume`].
+    pub(crate) fn open_at(&mut self, ctx: &Context, volume: PathBuf, is_folder: bool) {
+        self.open(ctx);
+        if let Some(browser) = &mut self.browser {
+            browser.select_volume(volume, is_folder);
+        }
+    }
+
     /// Shows the dialog if it is open; returns the file to open.
     pub(crate) fn show(&mut self, ctx: &Context) -> Option<Chosen> {
         let browser = self.browser.as_mut()?;

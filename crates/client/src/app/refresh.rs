@@ -149,6 +149,7 @@ impl<S: FrameSource> ViewerApp<S> {
         self.keep_choices(&ctx, now, has_frame);
         self.show_parts(&ctx, now);
         self.show_screenshots(&ctx, now, refresh.as_ref());
+        self.show_recording(&ctx, now);
         self.show_open_dialog(&ctx);
         help::show(&ctx, &self.options.bindings, &mut self.shows_help, &mut self.help_search);
         self.set_title(&ctx);
@@ -189,11 +190,15 @@ impl<S: FrameSource> ViewerApp<S> {
             let at = now.saturating_sub(self.opened_at);
             recorder.lock().unwrap_or_else(PoisonError::into_inner).record(at, &pose, &bounds);
         }
+        self.record(now, &pose, &bounds);
         let mut refresh = self.viewing.refresh(now, camera.pose, camera.intrinsics, &bounds);
         let is_of_other_method = self.novel_views.selected != 0;
         if (!self.stereo().is_mono() || is_of_other_method) && refresh.standing == Standing::Exact {
             // Each eye sees a novel view of the middle's frame, and other methods make other pictures.
             refresh.standing = Standing::Settled;
+        }
+        if !is_of_other_method && self.picture_status.is_blank() {
+            refresh.standing = Standing::Waiting;
         }
         // A line per refresh lets a test compare pictures of the window with the poses that they show.
         tracing::trace!(

@@ -4,7 +4,7 @@ use egui::{Panel, Ui};
 use glam::Vec3;
 use isinglass_core::layer::MAX_K;
 use isinglass_core::look::Look;
-use isinglass_core::mode::{Isos, Mode};
+use isinglass_core::mode::Mode;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::VolumeDescription;
 
@@ -19,7 +19,7 @@ use crate::panels::state_files::{StateFiles, StateWish};
 use crate::panels::style::{BACKGROUNDS, title};
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
-use crate::panels::{clip, color_well, light, surfaces};
+use crate::panels::{clip, color_well, light};
 use crate::view::viewing::FrameSize;
 
 /// What the panel shows and changes beside the transfer function.
@@ -59,7 +59,6 @@ pub(crate) fn show(
     if !*is_open {
         return None;
     }
-    let is_iso = settings.look.mode == Mode::Iso;
     let mut sections = |ui: &mut Ui, layout: Layout| {
         layout.section(ui, "Presets", true, |ui| {
             if let Some(entry) =
@@ -69,14 +68,11 @@ pub(crate) fn show(
                 entry.set(&mut settings.look, scale);
             }
         });
-        if settings.look.mode == Mode::Iso {
-            layout.section(ui, "Surfaces", true, |ui| surfaces::show(ui, &mut settings.look, scale));
-        }
-        let surfaces = if settings.look.mode == Mode::Iso { settings.look.isos } else { Isos::default() };
         let VolumeDescription { name, value_range, .. } = settings.volume;
         let presets: Vec<_> = isinglass_formats::fitting_presets(name, *value_range).collect();
         layout.section(ui, "Transfer function", true, |ui| {
-            editor.show(ui, scale, &presets, surfaces.as_slice());
+            let Look { mode, isos, .. } = &mut settings.look;
+            editor.show(ui, scale, &presets, Some(isos).filter(|_| *mode == Mode::Iso));
         });
         layout.section(ui, "Light", false, |ui| {
             light::show(ui, &mut settings.look, settings.world_from_view);
@@ -90,9 +86,7 @@ pub(crate) fn show(
         layout.section(ui, "State", false, |ui| wish = state_files.show(ui));
     };
     if ui.ctx().content_rect().width() < STRIP_BELOW {
-        let mut names = SECTIONS.to_vec();
-        names.retain(|name| is_iso || *name != "Surfaces");
-        icon_strip::show(ui, &names, |ui, name| sections(ui, Layout::Only(name)));
+        icon_strip::show(ui, &SECTIONS, |ui, name| sections(ui, Layout::Only(name)));
         return wish;
     }
     // A small window keeps most of its room for the picture.
@@ -218,8 +212,7 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     *settings.resets_choices |= reset.clicked();
 }
 
-const SECTIONS: [&str; 8] =
-    ["Presets", "Surfaces", "Transfer function", "Light", "Clip", "View", "Advanced", "State"];
+const SECTIONS: [&str; 7] = ["Presets", "Transfer function", "Light", "Clip", "View", "Advanced", "State"];
 /// In a narrower window the panel is a strip of icons, points.
 const STRIP_BELOW: f32 = 800.0;
 /// Room for nine points of a curve, points.

@@ -100,6 +100,15 @@ impl CameraPath {
         }
     }
 
+    /// The same from the first movement to the last; none if nothing moves.
+    pub(crate) fn without_rests(&self) -> Option<Self> {
+        let (first, last) = (self.keys.first()?, self.keys.last()?);
+        let is_at = |key: &Key, of: &Key| (key.world_from_view, key.place) == (of.world_from_view, of.place);
+        let begin = self.keys.iter().position(|key| !is_at(key, first))?.checked_sub(1)?;
+        let end = self.keys.iter().rposition(|key| !is_at(key, last))? + 1;
+        Some(Self { keys: self.keys.get(begin..=end)?.to_vec() })
+    }
+
     /// From the first position to the last.
     pub fn duration(&self) -> Duration {
         match (self.keys.first(), self.keys.last()) {
@@ -193,6 +202,15 @@ mod tests {
         let mut rested = path.clone();
         rested.record(Duration::from_secs(9), &pose(3), &BOUNDS);
         assert_eq!(at(&rested, 4.9), at(&rested, 2.0), "while nothing was recorded, nothing moved");
+        rested.record(Duration::from_secs(10), &pose(3), &BOUNDS);
+        rested.record(Duration::from_secs(11), &pose(3), &BOUNDS);
+        let bare = rested.without_rests().unwrap();
+        assert_eq!(bare.duration(), Duration::from_secs(5), "nothing moves after nine seconds");
+        assert_eq!(path.without_rests().as_ref(), Some(&path), "the control");
+        let mut still = CameraPath::default();
+        assert_eq!(still.without_rests(), None);
+        (1..4).for_each(|second| still.record(Duration::from_secs(second), &pose(3), &BOUNDS));
+        assert_eq!(still.without_rests(), None);
         let again = CameraPath::parse(&path.to_string()).unwrap();
         assert_eq!(again.keys.len(), 30);
         assert!((again.duration().as_secs_f32() - 29.0 * 0.033).abs() < 1e-3);

@@ -1,6 +1,7 @@
 //! The picture inside egui's render pass. Each frame is uploaded when it comes, and the picture is cast when anything
 //! changes.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -37,6 +38,8 @@ pub(crate) struct PicturePaint {
 pub(crate) struct PictureStatus {
     pub(crate) time: Arc<GpuTime>,
     pub(crate) has_timer: bool,
+    /// Whether nothing can be drawn yet: the pipeline for the frame is still being made.
+    is_blank: AtomicBool,
     problem: Mutex<Option<String>>,
     /// What else the device complained of since the last frame, such as a lack of memory.
     complaint: Arc<Mutex<Option<String>>>,
@@ -56,6 +59,16 @@ impl PictureStatus {
     pub(crate) fn problem(&self) -> Option<String> {
         let lock = |m: &Mutex<Option<String>>| m.lock().unwrap_or_else(PoisonError::into_inner).clone();
         lock(&self.problem).or_else(|| lock(&self.complaint))
+    }
+
+    /// Whether the last refresh drew nothing, as its pipeline is still being made.
+    pub(crate) fn is_blank(&self) -> bool {
+        self.is_blank.load(Ordering::Relaxed)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn set_blank(&self, is_blank: bool) {
+        self.is_blank.store(is_blank, Ordering::Relaxed);
     }
 
     /// Submits the prepared draws before the first picture. Never waits.
@@ -115,6 +128,7 @@ pub(crate) fn install(
     let status = Arc::new(PictureStatus {
         time,
         has_timer: timer.is_some(),
+        is_blank: AtomicBool::new(true),
         problem: Mutex::default(),
         complaint,
         warm_up: Mutex::new(Some(draws)),
@@ -259,6 +273,9 @@ impl egui_wgpu::CallbackTrait for PicturePaint {
         let problem = r.show(device, queue, self).err();
         *r.status.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
         r.pass.set_options(queue, &CastOptions { clip: self.clip, ..Default::default() });
+        // Pipelines for single channels are made where they are used.
+        let is_drawn = self.stereo.mode == StereoMode::RedCyan || r.pass.can_cast();
+        r.status.is_blank.store(!is_drawn, Ordering::Relaxed);
         let may_stand = self.stereo.is_mono() && self.fits(screen);
         r.path = r.cache.next(self.key(r.pass.casts_as_asked()), self.is_enlarged(), may_stand);
         match r.path {

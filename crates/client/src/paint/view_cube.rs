@@ -88,7 +88,7 @@ impl ViewCube<'_> {
             painter.add(Shape::convex_polygon(lit, MARK, Stroke::NONE));
         }
         // A letter on a side that is seen at a flat angle would lie on its neighbour.
-        let strength = ((facing - 0.25) * 4.0).clamp(0.0, 1.0);
+        let strength = ((facing - 0.22) * 10.0).clamp(0.0, 1.0);
         if strength > 0.0 {
             let color = AXIS_COLORS[axis];
             let color = if self.is_dark { color } else { color.lerp_to_gamma(Color32::BLACK, 0.45) };

@@ -213,6 +213,8 @@ impl GalleryEntry {
     fn short_name(self) -> &'static str {
         match self {
             Self::Preset(name) => name,
+            Self::Mode(Mode::Mip) => "MIP",
+            Self::Mode(Mode::MinIp) => "MinIP",
             Self::Mode(mode) => mode.name(),
         }
     }

@@ -1,11 +1,13 @@
-//! The section about the light: ambient occlusion, shadows and direction.
+//! The section about the light: shading, highlights, ambient occlusion, shadows and direction.
 
 use std::ops::RangeInclusive;
 
 use egui::{Color32, Rect, Response, Sense, Stroke, Ui, Vec2, pos2, vec2};
 use glam::{Quat, Vec3};
 use isinglass_core::look::Look;
-use isinglass_core::volume::{Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES};
+use isinglass_core::volume::{
+    Lighting, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SHININESS_MAX, SOFTNESS_MAX_DEGREES,
+};
 
 use super::controls::{self, percent, row};
 use super::style::named;
@@ -15,6 +17,16 @@ pub(crate) fn show(ui: &mut Ui, look: &mut Look, world_from_view: Quat) {
     let Look { shaded, lighting, .. } = look;
     ui.vertical(|ui| {
         row(ui, "shading", "shows surfaces by how they face the light", |ui| ui.checkbox(shaded, ""));
+        let hint = "Strength of highlights on shaded surfaces";
+        row(ui, "specular", hint, |ui| {
+            ui.add_enabled_ui(*shaded, |ui| percent(ui, &mut lighting.specular, 0.0..=100.0)).inner
+        });
+        row(ui, "shininess", "Higher values make highlights smaller", |ui| {
+            let is_on = *shaded && lighting.specular > 0.0;
+            let slider =
+                controls::slider(ui, &mut lighting.shininess, 1.0..=SHININESS_MAX, |v| format!("{v:.0}"));
+            ui.add_enabled(is_on, slider.logarithmic(true).fixed_decimals(0))
+        });
         row(ui, "ambient occlusion", "Darkens crevices", |ui| {
             percent(ui, &mut lighting.ambient_occlusion, 0.0..=100.0)
         });

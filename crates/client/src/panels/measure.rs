@@ -1,9 +1,12 @@
-//! The pane of the measurements: what to measure, what was measured, the values along a line, and the CSV file.
+//! The bar of the measurements: what to measure, what was measured, the values along a line, and the CSV file.
 
 use std::fmt::Write;
 use std::sync::Arc;
 
-use egui::{Align2, Context, Pos2, Rect, RichText, Role, ScrollArea, Sense, Shape, Stroke, Ui, pos2, vec2};
+use egui::{
+    Align, Layout, Pos2, Rect, RichText, Role, ScrollArea, Sense, Shape, Stroke, Ui, UiBuilder, WidgetInfo,
+    pos2, vec2,
+};
 use glam::Vec3;
 use isinglass_core::ids::ProbeId;
 use isinglass_core::wire::{MAX_PROFILE_POINTS, Profile, VolumeDescription, Welcome};
@@ -12,35 +15,38 @@ use lucide_icons::Icon;
 
 use super::background::write_numbered;
 use super::file_field::FileField;
-use super::style::{bright, icon, named, pane_at, quiet};
+use super::style::{bright, icon, named, quiet};
 use super::text::format_in;
+use crate::input::bindings::{Action, Bindings};
 use crate::paint::measure::{LengthScale, MeasureEditor, angle_degrees, length};
 use crate::view::Waker;
 
-/// What the pane knows beside the measurements themselves.
+/// What the bar knows beside the measurements themselves.
 #[derive(Default)]
-pub(crate) struct MeasurePane {
+pub(crate) struct MeasureBar {
+    /// Whether the list is shown.
+    is_open: bool,
     /// The profile that the person chose; otherwise the newest is shown.
     chosen: Option<usize>,
     /// The volume that the lines below go through.
     volume: Option<Arc<Welcome>>,
     /// Lines whose values are on the way, the newest last.
-    asked: Vec<(ProbeId, Line)>,
+    asked: Vec<(ProbeId, MeasuredLine)>,
     /// The newest values that came of each measurement.
-    known: Vec<(Line, Arc<Profile>)>,
+    known: Vec<(MeasuredLine, Arc<Profile>)>,
     files: FileField<()>,
 }
 
 /// The number of a measurement, and the ends of its line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Line {
+struct MeasuredLine {
     number: usize,
     ends: [[f32; 3]; 2],
 }
 
 /// A line to ask the server for.
 pub(crate) struct WantedProfile {
-    line: Line,
+    line: MeasuredLine,
     pub(crate) num_points: u16,
 }
 
@@ -50,7 +56,7 @@ impl WantedProfile {
     }
 }
 
-impl MeasurePane {
+impl MeasureBar {
     /// The profile to ask for now: the shown one first, then the others, one at a time. A line that rests is asked for
     /// once of each volume.
     pub(crate) fn wanted(
@@ -63,7 +69,7 @@ impl MeasurePane {
             self.volume = Some(volume.clone());
             (self.asked, self.known) = (Vec::new(), Vec::new());
         }
-        let is_known = |line: &Line| self.known.iter().any(|(known, _)| known == line);
+        let is_known = |line: &MeasuredLine| self.known.iter().any(|(known, _)| known == line);
         let shown = line_of(measures, self.shown_profile(measures)?)?;
         let line = if !is_known(&shown) {
             Some(shown).filter(|line| self.asked.last().is_none_or(|(_, asked)| asked != line))
@@ -109,61 +115,107 @@ impl MeasurePane {
         self.chosen.filter(is_profile).or_else(newest)
     }
 
-    /// Shows the pane at the right of `room`.
-    pub(crate) fn show(
-        &mut self,
-        ctx: &Context,
-        room: Rect,
-        editor: &mut MeasureEditor,
-        volume: &VolumeDescription,
-        wake: &Waker,
-    ) {
-        let _ = self.files.take();
-        let place = (Align2::RIGHT_TOP, [-8.0, 8.0]);
-        let shown = pane_at(ctx, "measure", room, place, |ui| {
-            ui.set_width(PANE_WIDTH);
-            self.kinds(ui, editor);
-            self.list(ui, editor, volume);
-            if let Some(number) = self.shown_profile(editor.measures()) {
-                let values = self.values(editor.measures(), number).map(|(profile, _)| profile);
-                show_profile(ui, values, &editor.measures()[number], volume);
-            }
-            if !editor.measures().is_empty() {
-                self.file(ui, editor.measures(), volume, wake);
-            }
-            ui.add(egui::Button::new("Close").small()).clicked()
-        });
-        if shown.inner {
-            editor.toggle();
-        }
+    /// Height of the bar, points.
+    pub(crate) fn height(&self) -> f32 {
+        ROW_HEIGHT + if self.is_open { LIST_HEIGHT } else { 0.0 }
     }
 
-    fn kinds(&mut self, ui: &mut Ui, editor: &mut MeasureEditor) {
-        ui.horizontal(|ui| {
-            for (kind, name) in KINDS {
-                if ui.selectable_label(editor.kind == kind, name).clicked() {
-                    editor.choose(kind);
-                }
+    /// Shows the bar: what to measure and what was measured last, and all of it below if the person opens the list.
+    /// Returns whether to close it.
+    pub(crate) fn show(
+        &mut self,
+        ui: &mut Ui,
+        editor: &mut MeasureEditor,
+        volume: &VolumeDescription,
+        bindings: &Bindings,
+        wake: &Waker,
+    ) -> bool {
+        let _ = self.files.take();
+        let row = vec2(ui.available_width(), ROW_HEIGHT - 8.0);
+        let centered = Layout::left_to_right(Align::Center);
+        let is_closed =
+            ui.allocate_ui_with_layout(row, centered, |ui| self.row(ui, editor, volume, bindings)).inner;
+        if self.is_open {
+            self.details(ui, editor, volume, wake);
+        }
+        is_closed
+    }
+
+    fn row(
+        &mut self,
+        ui: &mut Ui,
+        editor: &mut MeasureEditor,
+        volume: &VolumeDescription,
+        bindings: &Bindings,
+    ) -> bool {
+        for (kind, name) in KINDS {
+            if ui.selectable_label(editor.kind == kind, name).clicked() {
+                editor.choose(kind);
+                // Its values are a plot.
+                self.is_open |= kind == MeasureKind::Profile;
             }
-        });
-        let hint = match editor.kind {
-            MeasureKind::Distance => "Click two points on a surface or a slice.",
-            MeasureKind::Angle => "Click three points: the angle is at the second.",
-            MeasureKind::Path => "Click points; click the last one again to end.",
-            MeasureKind::Profile => "Click both ends of a line through the volume.",
-        };
-        ui.horizontal(|ui| {
-            ui.label(RichText::new(hint).size(11.5).color(quiet(ui.ctx())));
-        });
+        }
+        ui.separator();
         if editor.num_begun() > 0 {
-            ui.horizontal(|ui| {
-                if editor.kind == MeasureKind::Path && ui.button("End the path").clicked() {
-                    editor.finish();
+            if editor.kind == MeasureKind::Path && ui.button("End the path").clicked() {
+                editor.finish();
+            }
+            if ui.button("Start again").clicked() {
+                editor.give_up();
+            }
+        }
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            let close = ui.add(egui::Button::new(icon(Icon::X)).frame_when_inactive(false));
+            named(&close, Role::Button, "stop measuring");
+            let is_closed =
+                close.on_hover_text(bindings.with_key("stop measuring", Action::Measure)).clicked();
+            let symbol = if self.is_open { Icon::ChevronDown } else { Icon::ChevronUp };
+            let list = ui.add(egui::Button::new(icon(symbol)).frame_when_inactive(false));
+            let is_open = self.is_open;
+            list.widget_info(|| WidgetInfo::selected(Role::CheckBox, true, is_open, "list of measurements"));
+            if list.on_hover_text("all measurements, the values along a line, and the table").clicked() {
+                self.is_open = !self.is_open;
+                // The picture beneath is drawn already.
+                ui.ctx().request_repaint();
+            }
+            let newest = editor.measures().len().checked_sub(1).filter(|_| !is_open);
+            ui.with_layout(Layout::left_to_right(Align::Center), |ui| match newest {
+                Some(number) => {
+                    let text = told(number, &editor.measures()[number], &scale(volume));
+                    ui.add(egui::Label::new(text).truncate());
                 }
-                if ui.button("Start again").clicked() {
-                    editor.give_up();
+                None => {
+                    let hint = RichText::new(hint_of(editor.kind)).size(12.0).color(quiet(ui.ctx()));
+                    ui.add(egui::Label::new(hint).truncate());
                 }
             });
+            is_closed
+        })
+        .inner
+    }
+
+    /// The list and its file at the left, the values along a line at the right.
+    fn details(&mut self, ui: &mut Ui, editor: &mut MeasureEditor, volume: &VolumeDescription, wake: &Waker) {
+        let room = ui.available_rect_before_wrap();
+        let middle = room.left() + (room.width() * 0.5).min(MOST_LIST_WIDTH);
+        let left = room.with_max_x(middle - 8.0);
+        let right = room.with_min_x(middle + 8.0);
+        ui.advance_cursor_after_rect(room);
+        let part = |ui: &mut Ui, rect: Rect| ui.new_child(UiBuilder::new().max_rect(rect));
+        let file_height = ui.spacing().interact_size.y + 8.0;
+        let list = left.with_max_y(left.bottom() - file_height);
+        self.list(&mut part(ui, list), editor, volume);
+        self.file(&mut part(ui, left.with_min_y(list.bottom() + 4.0)), editor.measures(), volume, wake);
+        let ui = &mut part(ui, right);
+        let text = self.news(editor.measures());
+        let news_height = if text.is_some() { 16.0 } else { 0.0 };
+        if let Some(number) = self.shown_profile(editor.measures()) {
+            let values = self.values(editor.measures(), number).map(|(profile, _)| profile);
+            let height = (right.height() - 24.0 - news_height).max(24.0);
+            show_profile(ui, height, values, &editor.measures()[number], volume);
+        }
+        if let Some(text) = text {
+            ui.add(egui::Label::new(RichText::new(text).size(12.0)).truncate());
         }
     }
 
@@ -171,10 +223,12 @@ impl MeasurePane {
         let scale = scale(volume);
         let shown = self.shown_profile(editor.measures());
         let mut removed = None;
-        ScrollArea::vertical().max_height(LIST_HEIGHT).show(ui, |ui| {
+        if editor.measures().is_empty() {
+            ui.label(RichText::new("Nothing is measured yet.").color(quiet(ui.ctx())));
+        }
+        ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             for (number, measure) in editor.measures().iter().enumerate() {
-                let kind = name_of(measure.kind);
-                let text = format!("{}: {kind} {}", number + 1, scale.told(measure));
+                let text = told(number, measure, &scale);
                 ui.horizontal(|ui| {
                     let bin = ui.add(egui::Button::new(icon(Icon::Trash2)).frame_when_inactive(false));
                     named(&bin, Role::Button, &format!("remove measurement {}", number + 1));
@@ -187,7 +241,7 @@ impl MeasurePane {
                                 self.chosen = Some(number);
                             }
                         }
-                        _ => drop(ui.label(text)),
+                        _ => drop(ui.add(egui::Label::new(text).truncate())),
                     }
                 });
             }
@@ -198,25 +252,35 @@ impl MeasurePane {
         }
     }
 
-    fn file(&mut self, ui: &mut Ui, measures: &[SavedMeasure], volume: &VolumeDescription, wake: &Waker) {
-        self.files.show(ui, f32::INFINITY, "file of the measurements", "file; a new name if empty");
-        let name = if self.files.is_replacing() { "Replace the CSV file" } else { "Save as CSV" };
-        let known =
-            |number| self.values(measures, number).filter(|(_, is_new)| *is_new).map(|(known, _)| known);
-        let of_profile = |number: &usize| measures[*number].kind == MeasureKind::Profile;
-        let missing = (0..measures.len()).filter(of_profile).filter(|number| known(*number).is_none());
-        let missing: Vec<String> = missing.map(|number| (number + 1).to_string()).collect();
-        if !missing.is_empty() {
-            let told = format!("The values of {} are on the way.", missing.join(", "));
-            ui.add(egui::Label::new(RichText::new(told).size(11.0)).wrap());
+    /// What the person should know of the file and the values.
+    fn news(&self, measures: &[SavedMeasure]) -> Option<String> {
+        let is_missing = |number: &usize| {
+            measures[*number].kind == MeasureKind::Profile
+                && !self.values(measures, *number).is_some_and(|(_, is_new)| is_new)
+        };
+        let missing: Vec<String> =
+            (0..measures.len()).filter(is_missing).map(|number| (number + 1).to_string()).collect();
+        match missing.is_empty() {
+            true => self.files.message.clone(),
+            false => Some(format!("The values of {} are on the way.", missing.join(", "))),
         }
-        if ui.add_enabled(!self.files.is_busy(), egui::Button::new(name)).clicked() {
+    }
+
+    fn file(&mut self, ui: &mut Ui, measures: &[SavedMeasure], volume: &VolumeDescription, wake: &Waker) {
+        let name = if self.files.is_replacing() { "Replace the CSV file" } else { "Save as CSV" };
+        let is_asked = ui.with_layout(Layout::right_to_left(Align::Min), |ui| {
+            let can_save = !self.files.is_busy() && !measures.is_empty();
+            let is_asked = ui.add_enabled(can_save, egui::Button::new(name)).clicked();
+            let width = ui.available_width();
+            self.files.show(ui, width, "file of the measurements", "file; a new name if empty");
+            is_asked
+        });
+        if is_asked.inner {
+            let known =
+                |number| self.values(measures, number).filter(|(_, is_new)| *is_new).map(|(known, _)| known);
             let text = csv(measures, volume, known);
             let stem = super::text::file_stem(&volume.name);
             self.files.write(wake, text, move |text| write_numbered(text, &stem, ".measures.csv"));
-        }
-        if let Some(message) = &self.files.message {
-            ui.add(egui::Label::new(RichText::new(message).size(11.0)).wrap());
         }
     }
 
@@ -226,8 +290,14 @@ impl MeasurePane {
     }
 }
 
-fn show_profile(ui: &mut Ui, values: Option<&Profile>, of: &SavedMeasure, volume: &VolumeDescription) {
-    let (rect, response) = ui.allocate_exact_size(vec2(PANE_WIDTH, PLOT_HEIGHT), Sense::hover());
+fn show_profile(
+    ui: &mut Ui,
+    height: f32,
+    values: Option<&Profile>,
+    of: &SavedMeasure,
+    volume: &VolumeDescription,
+) {
+    let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width(), height), Sense::hover());
     let painter = ui.painter_at(rect);
     let known = values.map(|profile| &profile.values[..]).unwrap_or_default();
     let numbers = known.iter().flatten().copied();
@@ -269,7 +339,7 @@ fn show_profile(ui: &mut Ui, values: Option<&Profile>, of: &SavedMeasure, volume
             response.on_hover_text(format!("{value}{unit} at {way}"));
         }
     }
-    ui.label(RichText::new(words).size(11.5));
+    ui.add(egui::Label::new(RichText::new(words).size(12.0)).truncate());
 }
 
 /// The measurements as a table, a line for each point, and for each value of those profiles that `known` has.
@@ -332,9 +402,23 @@ fn finest(volume: &VolumeDescription) -> f32 {
     volume.spacing.iter().copied().fold(f32::INFINITY, f32::min)
 }
 
-fn line_of(measures: &[SavedMeasure], number: usize) -> Option<Line> {
+fn line_of(measures: &[SavedMeasure], number: usize) -> Option<MeasuredLine> {
     let measure = measures.get(number).filter(|measure| measure.kind == MeasureKind::Profile)?;
-    Some(Line { number, ends: [*measure.points.first()?, *measure.points.last()?] })
+    Some(MeasuredLine { number, ends: [*measure.points.first()?, *measure.points.last()?] })
+}
+
+/// A measurement in a line.
+fn told(number: usize, measure: &SavedMeasure, scale: &LengthScale<'_>) -> String {
+    format!("{}: {} {}", number + 1, name_of(measure.kind), scale.told(measure))
+}
+
+fn hint_of(kind: MeasureKind) -> &'static str {
+    match kind {
+        MeasureKind::Distance => "Click two points on a surface or a slice.",
+        MeasureKind::Angle => "Click three points: the angle is at the second.",
+        MeasureKind::Path => "Click points; click the last one again to end.",
+        MeasureKind::Profile => "Click both ends of a line through the volume.",
+    }
 }
 
 fn name_of(kind: MeasureKind) -> &'static str {
@@ -347,10 +431,11 @@ const KINDS: [(MeasureKind, &str); 4] = [
     (MeasureKind::Path, "Path"),
     (MeasureKind::Profile, "Profile"),
 ];
-/// Width of the pane's content, points.
-const PANE_WIDTH: f32 = 264.0;
-const PLOT_HEIGHT: f32 = 96.0;
-const LIST_HEIGHT: f32 = 150.0;
+/// Height of the row of kinds, and of what opens below it, points.
+const ROW_HEIGHT: f32 = 34.0;
+const LIST_HEIGHT: f32 = 132.0;
+/// Width of the list, points.
+const MOST_LIST_WIDTH: f32 = 420.0;
 /// Questions about lines that are remembered until an answer comes.
 const MAX_ASKED: usize = 64;
 
@@ -402,11 +487,11 @@ mod tests {
 
     #[test]
     fn a_line_that_rests_is_asked_for_once_of_each_volume() {
-        let (a, b, mut pane) = (welcome(), welcome(), MeasurePane::default());
+        let (a, b, mut pane) = (welcome(), welcome(), MeasureBar::default());
         assert_eq!(a.volume, b.volume, "another volume may be described alike");
         let line = |x: f32| [measure(MeasureKind::Profile, &[[0.0; 3], [x, 0.0, 0.0]])];
         let profile = |id| Profile { id: ProbeId(id), values: vec![Some(id as f32)] };
-        let ask = |pane: &mut MeasurePane, x: f32, volume: &Arc<Welcome>, id: u32| {
+        let ask = |pane: &mut MeasureBar, x: f32, volume: &Arc<Welcome>, id: u32| {
             let wanted = pane.wanted(&line(x), volume);
             if let Some(wanted) = &wanted {
                 pane.note_asked(wanted, ProbeId(id));
@@ -435,7 +520,7 @@ mod tests {
 
     #[test]
     fn the_values_of_every_profile_are_fetched_one_after_another() {
-        let (volume, mut pane) = (welcome(), MeasurePane::default());
+        let (volume, mut pane) = (welcome(), MeasureBar::default());
         let line = |x: f32| measure(MeasureKind::Profile, &[[0.0; 3], [x, 0.0, 0.0]]);
         let measures = [line(1.0), measure(MeasureKind::Distance, &[[0.0; 3]; 2]), line(2.0)];
         let mut asked = Vec::new();

@@ -25,7 +25,6 @@ pub(crate) mod slices;
 pub(crate) mod state_files;
 pub(crate) mod status;
 pub(crate) mod style;
-pub(crate) mod surfaces;
 pub(crate) mod system_dialog;
 pub(crate) mod text;
 pub(crate) mod toolbar;

@@ -1,4 +1,4 @@
-//! Screenshots: one of the view, or a turntable of many, as files or as a movie. The server renders them in full, and
+//! Screenshots: one of the view, or a turntable or a recorded path of many, as files or as a movie. The server renders them in full, and
 //! they are written here.
 //!
 //! One picture is requested at a time, the next when the one before is on the disk. A thread writes the files.
@@ -7,6 +7,8 @@ mod files;
 mod marks;
 
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
 
 use egui::{Align2, Context, RichText, vec2};
 use glam::{Quat, Vec3};
@@ -24,6 +26,7 @@ use self::marks::PictureMarks;
 use super::background::Background;
 use super::controls::whole;
 use super::style::pane_at;
+use crate::input::camera_path::CameraPath;
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
 
@@ -50,7 +53,10 @@ pub(crate) struct Screenshots {
     is_dialog_open: bool,
     size: Option<[u32; 2]>,
     num_pictures: u32,
-    /// The form of a turntable; none for a file each.
+    /// The way of the camera that was recorded, and whether pictures go along it.
+    path: Option<Arc<CameraPath>>,
+    takes_path: bool,
+    /// The form of several pictures; none for a file each.
     movie: Option<MovieForm>,
     is_transparent: bool,
     has_scale: bool,
@@ -58,10 +64,13 @@ pub(crate) struct Screenshots {
     /// Where files go, as the person writes it.
     pub(crate) folder: String,
     series: Option<Series>,
+    saving_path: Background<PathBuf>,
 }
 
 struct Series {
     subject: Subject,
+    /// The way of the camera; none for a turntable.
+    way: Option<Arc<CameraPath>>,
     total: u32,
     done: u32,
     /// The file, or the folder of several.
@@ -94,12 +103,15 @@ impl Default for Screenshots {
             is_dialog_open: false,
             size: None,
             num_pictures: 1,
+            path: None,
+            takes_path: false,
             movie: None,
             is_transparent: false,
             has_scale: false,
             has_legend: false,
             folder,
             series: None,
+            saving_path: Background::default(),
         }
     }
 }
@@ -123,6 +135,29 @@ impl Screenshots {
         self.is_dialog_open = !self.is_dialog_open;
     }
 
+    /// A path was recorded: its movie is asked for.
+    pub(crate) fn offer_path(&mut self, path: Arc<CameraPath>) {
+        self.path = Some(path);
+        self.open_for_path();
+    }
+
+    pub(crate) fn has_path(&self) -> bool {
+        self.path.is_some()
+    }
+
+    /// Opens the dialog for the movie of the recorded path.
+    pub(crate) fn open_for_path(&mut self) {
+        self.is_dialog_open = true;
+        if !std::mem::replace(&mut self.takes_path, self.path.is_some()) {
+            self.movie = self.movie.or(Some(MovieForm::Gif));
+        }
+    }
+
+    /// The path that pictures go along, if they do.
+    fn way(&self) -> Option<&Arc<CameraPath>> {
+        self.path.as_ref().filter(|_| self.takes_path)
+    }
+
     pub(crate) fn close_dialog(&mut self) {
         self.is_dialog_open = false;
     }
@@ -130,14 +165,19 @@ impl Screenshots {
     /// Requests one picture as large as the window's, unless others are in progress.
     pub(crate) fn take(&mut self, ctx: &Context, subject: Subject) {
         if self.series.is_none() {
-            self.begin(ctx, subject, 1);
+            self.begin(ctx, subject, 1, None);
         }
     }
 
-    fn begin(&mut self, ctx: &Context, subject: Subject, total: u32) {
+    fn begin(&mut self, ctx: &Context, subject: Subject, total: u32, way: Option<Arc<CameraPath>>) {
         let folder = files::folder_from_text(&self.folder);
         let movie = self.movie.filter(|_| total > 1);
-        let mut path = folder.join(files::file_name(&subject.name, OffsetDateTime::now_utc(), total > 1));
+        let end = match (&way, total) {
+            (Some(_), _) => "-path",
+            (None, 1) => ".png",
+            (None, _) => "-turntable",
+        };
+        let mut path = folder.join(files::file_name(&subject.name, OffsetDateTime::now_utc(), end));
         if let Some(form) = movie {
             path.as_mut_os_string().push(format!(".{}", form.extension()));
         }
@@ -151,12 +191,19 @@ impl Screenshots {
             movie,
             writer: None,
             subject,
+            way,
             stage: PictureStage::Due,
         });
     }
 
     /// Continues what is in progress. Returns news for the person. Never waits.
     pub(crate) fn poll(&mut self, source: &mut impl FrameSource, ctx: &Context) -> Option<String> {
+        if let Some(saved) = self.saving_path.take() {
+            return Some(match saved {
+                Ok(file) => format!("Saved {}", file.display()),
+                Err(why) => format!("The path is not saved: {why}"),
+            });
+        }
         let series = self.series.as_mut()?;
         match &mut series.stage {
             PictureStage::Due => {
@@ -222,6 +269,7 @@ impl Screenshots {
 
     /// The source has changed: requested pictures will not come. Returns news for the person.
     pub(crate) fn forget(&mut self) -> Option<String> {
+        (self.path, self.takes_path) = (None, false);
         Some(self.series.take()?.stopped())
     }
 
@@ -264,7 +312,8 @@ impl Screenshots {
 
     fn show_dialog(&mut self, ctx: &Context, subject: Option<Subject>, is_connected: bool) {
         let mut is_open = true;
-        let mut starts = false;
+        let (mut starts, mut saves_path) = (false, false);
+        let total = self.total();
         let window = egui::Window::new(RichText::new("Picture of the view"));
         let window = window.open(&mut is_open).anchor(Align2::CENTER_CENTER, vec2(0.0, 0.0));
         window.resizable(false).collapsible(false).show(ctx, |ui| {
@@ -282,14 +331,30 @@ impl Screenshots {
                     }
                 });
                 ui.end_row();
+                if let Some(path) = &self.path {
+                    ui.label("camera");
+                    let seconds = path.duration().as_secs_f32();
+                    ui.horizontal(|ui| {
+                        ui.selectable_value(&mut self.takes_path, false, "as now");
+                        let along = format!("along the path, {seconds:.1} s");
+                        ui.selectable_value(&mut self.takes_path, true, along);
+                        let save = ui.button("Save the path");
+                        saves_path = save.on_hover_text("a text file for `isinglass render --path`").clicked();
+                    });
+                    ui.end_row();
+                }
                 let label = ui.label("pictures");
-                let number = whole(ui, &mut self.num_pictures, 1..=MAX_PICTURES);
-                let hint =
-                    "more than one: a turntable, once around the vertical through the centre of rotation";
-                ui.add(number).labelled_by(label.id).on_hover_text(hint);
+                match self.way() {
+                    Some(_) => drop(ui.label(total.to_string())),
+                    None => {
+                        let number = whole(ui, &mut self.num_pictures, 1..=MAX_PICTURES);
+                        let hint = "more than one: a turntable, once around the vertical through the centre of rotation";
+                        ui.add(number).labelled_by(label.id).on_hover_text(hint);
+                    }
+                }
                 ui.end_row();
-                if self.num_pictures > 1 {
-                    ui.label("Format");
+                if total > 1 {
+                    ui.label("format");
                     ui.horizontal(|ui| {
                         for (form, name, hint) in FORMS {
                             let choice = ui.selectable_label(self.movie == form, name);
@@ -300,17 +365,17 @@ impl Screenshots {
                     });
                     ui.end_row();
                     ui.label("");
-                    let seconds = self.num_pictures as f32 / PICTURES_PER_SECOND as f32;
+                    let seconds = total as f32 / PICTURES_PER_SECOND as f32;
                     ui.label(format!("{seconds:.1} s at {PICTURES_PER_SECOND} pictures a second"));
                     ui.end_row();
                 }
-                ui.label("Overlays");
+                ui.label("overlays");
                 ui.horizontal(|ui| {
                     ui.checkbox(&mut self.has_scale, "scale bar");
                     ui.checkbox(&mut self.has_legend, "colour legend");
                 });
                 ui.end_row();
-                let is_movie = self.num_pictures > 1 && self.movie.is_some();
+                let is_movie = total > 1 && self.movie.is_some();
                 ui.label("background");
                 let transparent = egui::Checkbox::new(&mut self.is_transparent, "transparent");
                 ui.add_enabled(!is_movie, transparent).on_disabled_hover_text("a movie has a background");
@@ -329,16 +394,45 @@ impl Screenshots {
                 ui.label("the server renders them, and there is no connection to it");
             }
             let is_possible = is_fitting && is_connected && subject.is_some() && self.series.is_none();
-            let name = if self.num_pictures > 1 { "Make the turntable" } else { "Take the picture" };
+            let name = match (self.way(), total) {
+                (Some(_), _) if self.movie.is_some() => "Make the movie",
+                (Some(_), _) => "Take the pictures",
+                (None, 1) => "Take the picture",
+                (None, _) => "Make the turntable",
+            };
             starts = ui.add_enabled(is_possible, egui::Button::new(name)).clicked();
         });
+        if let (true, Some(subject)) = (saves_path, &subject) {
+            self.save_path(ctx, &subject.name);
+        }
         self.is_dialog_open = is_open && !starts;
         if let (true, Some(mut subject)) = (starts, subject) {
             if let Some([width, height]) = self.size {
                 (subject.intrinsics.width, subject.intrinsics.height) = (width, height);
             }
-            self.begin(ctx, subject, self.num_pictures);
+            self.begin(ctx, subject, total, self.way().cloned());
         }
+    }
+
+    /// Number of pictures to make.
+    fn total(&self) -> u32 {
+        let along = |path: &Arc<CameraPath>| {
+            // The last one is at the end.
+            let num = (path.duration().as_secs_f32() * PICTURES_PER_SECOND as f32).ceil() as u32 + 1;
+            num.min(MAX_PICTURES)
+        };
+        self.way().map_or(self.num_pictures, along)
+    }
+
+    /// Writes the recorded path as a text, for the volume `name`.
+    fn save_path(&mut self, ctx: &Context, name: &str) {
+        let Some(path) = self.path.clone().filter(|_| !self.saving_path.is_busy()) else { return };
+        let name = files::file_name(name, OffsetDateTime::now_utc(), "-path.txt");
+        let file = files::folder_from_text(&self.folder).join(name);
+        self.saving_path = Background::run(&waker_of(ctx), move || {
+            let text = path.to_string();
+            files::write(&file, text.as_bytes()).map_err(|e| format!("{}: {e}", file.display()))
+        });
     }
 }
 
@@ -356,9 +450,18 @@ impl Series {
         }
     }
 
-    /// The camera of the next picture; the first is the window's own.
+    /// The camera of the next picture. The first of a turntable is the window's own.
     fn pose(&self) -> Pose {
         let Subject { pose, intrinsics, bounds, center, up, .. } = self.subject;
+        // Parallel rays begin at the eye, so the whole volume must be in front of it.
+        let placed = |pose: Pose| match intrinsics.projection.is_orthographic() {
+            true => pose.before(&bounds),
+            false => pose,
+        };
+        if let Some(way) = &self.way {
+            let at = Duration::from_secs_f32(self.done as f32 / PICTURES_PER_SECOND as f32);
+            return way.pose_at(at, &intrinsics, &bounds).map_or(pose, placed);
+        }
         if self.done == 0 {
             return pose;
         }
@@ -368,8 +471,7 @@ impl Series {
             eye: center + turn * (pose.eye - center),
             world_from_view: (turn * pose.world_from_view).normalize(),
         };
-        // Parallel rays begin at the eye, so the whole volume must be in front of it.
-        if intrinsics.projection.is_orthographic() { turned.before(&bounds) } else { turned }
+        placed(turned)
     }
 
     /// What stores the next picture, with its marks, in a file or in the movie.
@@ -445,6 +547,9 @@ const FORMS: [(Option<MovieForm>, &str, &str); 3] = [
 ];
 /// A minute at 60 pictures a second.
 const MAX_PICTURES: u32 = 3600;
+/// The longest path that a movie shows whole.
+pub(crate) const LONGEST_PATH: Duration =
+    Duration::from_secs((MAX_PICTURES / PICTURES_PER_SECOND - 1) as u64);
 
 #[cfg(test)]
 mod tests {
@@ -454,6 +559,7 @@ mod tests {
     fn a_movie_that_gets_its_last_picture_is_saved() {
         let series = |done, stage| Series {
             subject: marks::tests::subject(8, 8),
+            way: None,
             total: 4,
             done,
             path: "a.gif".into(),

@@ -117,7 +117,7 @@ impl Standing {
     /// The explanation of the word, as hover text.
     pub fn explanation(self) -> &'static str {
         match self {
-            Self::Waiting => "No frame has arrived yet.",
+            Self::Waiting => "There is no picture yet.",
             Self::Moving => "Drawn here, at once, from the newest layered frame.",
             Self::Refining => "The server's frame for this view is on its way.",
             Self::Offline => "Drawn here from the last frame that came: there is no connection.",
@@ -139,8 +139,22 @@ fn state_word(state: &State) -> &'static str {
 }
 
 /// What the badge takes of the picture's upper left corner, with the numbers or without, with gaps, points.
-pub(crate) fn size_taken(shows_numbers: bool) -> egui::Vec2 {
-    if shows_numbers { vec2(NUMBERS_WIDTH + GAPS, 230.0) } else { vec2(BADGE_WIDTH + GAPS, 40.0) }
+pub(crate) fn size_taken(room_width: f32, shows_numbers: bool) -> egui::Vec2 {
+    let height = if shows_numbers { 230.0 } else { 40.0 };
+    vec2(width_in(room_width, shows_numbers) + GAPS, height)
+}
+
+/// Width of the pane's content in a room, points. In a small room, the line at the bottom has the name alone.
+fn width_in(room_width: f32, shows_numbers: bool) -> f32 {
+    match shows_numbers {
+        true => NUMBERS_WIDTH,
+        false if has_name_in(room_width) => BADGE_WIDTH,
+        false => WIDTH_WITHOUT_NAME,
+    }
+}
+
+fn has_name_in(room_width: f32) -> bool {
+    room_width >= LEAST_ROOM_WITH_NAME
 }
 
 /// Shows the name of the volume and the badge at the top left of `room`, and the numbers below if they are wanted.
@@ -155,8 +169,7 @@ pub(crate) fn show(
     let place = (Align2::LEFT_TOP, [10.0, 10.0]);
     let shown = pane_at(ctx, "overlay", room, place, |ui| {
         // A fixed width: the pane must not change its size with the digits.
-        let width = if shows_numbers { NUMBERS_WIDTH } else { BADGE_WIDTH };
-        ui.set_width(width.min((room.width() - GAPS).max(60.0)));
+        ui.set_width(width_in(room.width(), shows_numbers).min((room.width() - GAPS).max(60.0)));
         ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
         ui.spacing_mut().interact_size.y = 0.0;
         let line = vec2(ui.available_width(), 20.0);
@@ -168,9 +181,12 @@ pub(crate) fn show(
                     egui::WidgetInfo::selected(egui::Role::CheckBox, true, shows_numbers, "numbers")
                 });
                 badge(ui, model.standing);
-                ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
-                    ui.add(egui::Label::new(RichText::new(name).color(bright(ctx)).size(13.0)).truncate());
-                });
+                if shows_numbers || has_name_in(room.width()) {
+                    ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
+                        let name = RichText::new(name).color(bright(ctx)).size(13.0);
+                        ui.add(egui::Label::new(name).truncate());
+                    });
+                }
                 numbers.clicked()
             });
         if shows_numbers {
@@ -233,6 +249,10 @@ fn dash() -> String {
 const NUMBERS_WIDTH: f32 = 220.0;
 /// Width of the name and the badge, points.
 const BADGE_WIDTH: f32 = 220.0;
+/// Width of the badge alone, points.
+const WIDTH_WITHOUT_NAME: f32 = 98.0;
+/// Rooms this wide have the name beside the badge, points.
+const LEAST_ROOM_WITH_NAME: f32 = 520.0;
 /// Gaps around the pane and in it, points.
 const GAPS: f32 = 42.0;
 

@@ -23,6 +23,9 @@ pub(crate) struct Toolbar<'a> {
     pub(crate) has_clip_handles: bool,
     pub(crate) has_probe: bool,
     pub(crate) is_measuring: bool,
+    pub(crate) is_recording: bool,
+    /// Whether the way of the camera was recorded.
+    pub(crate) has_path: bool,
     pub(crate) shows_axes: bool,
     pub(crate) shows_box: bool,
     pub(crate) shows_slices: bool,
@@ -40,6 +43,8 @@ pub(crate) struct Toolbar<'a> {
 pub(crate) enum ToolbarWish {
     Act(Action),
     Show(Mode),
+    /// Ask for the movie of the recorded path.
+    MovieOfPath,
     TurnUp(UpAxis),
     View(NamedViewWish),
 }
@@ -124,6 +129,14 @@ impl Toolbar<'_> {
         menu(ui, Icon::Camera, "Picture", has_words, |ui| {
             self.item(ui, "Save a picture", Action::Picture, wish);
             self.item(ui, "Other size, or a turntable…", Action::PictureDialog, wish);
+            let record = if self.is_recording { "End the recording" } else { "Record a path" };
+            self.item(ui, record, Action::RecordPath, wish);
+            let movie = ui.add_enabled(self.has_path, egui::Button::new("Movie of the path…"));
+            named(&movie, Role::Button, "Movie of the path…");
+            if movie.on_disabled_hover_text("record a path first").clicked() {
+                *wish = Some(ToolbarWish::MovieOfPath);
+                ui.close();
+            }
         });
     }
 

@@ -16,12 +16,17 @@ pub(crate) struct ValueScale {
 }
 
 impl ValueScale {
-    /// Chooses a mode. Without surfaces, one appears at the value that separates the histogram best.
+    /// Chooses a mode.
     pub(crate) fn set_mode(&self, look: &mut Look, mode: Mode) {
         look.mode = mode;
-        if mode == Mode::Iso && look.isos.as_slice().is_empty() {
-            look.isos = Isos::one(self.parting_value());
+        if mode == Mode::Iso {
+            look.isos = self.shown_surfaces(look.isos);
         }
+    }
+
+    /// The surfaces that a picture shows: without any, one at the value that separates the histogram best.
+    pub(crate) fn shown_surfaces(&self, isos: Isos) -> Isos {
+        if isos.as_slice().is_empty() { Isos::one(self.parting_value()) } else { isos }
     }
 
     pub(crate) fn of(volume: &VolumeDescription) -> Self {

@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex};
 use egui::{Align2, RichText};
 use isinglass_core::ids::FrameId;
 use isinglass_core::session::ClientSession;
-use isinglass_formats::{LoadRequest, ReadState, RecentEntry, RecentPlace, read_state};
+use isinglass_formats::{Content, LoadRequest, ReadState, RecentEntry, RecentPlace, content_of, read_state};
 use isinglass_net::{Clock, Link, LinkStats, ReceivedFrame, State, Talking};
 
 use self::drop_frame::DropFrame;
@@ -38,7 +38,11 @@ use crate::view::frame_source::FrameSource;
 use crate::view::{BoxedSource, Waker};
 
 enum Dropped {
-    Volume(PathBuf),
+    Volume {
+        path: PathBuf,
+        /// Whether the files in it are the volume together.
+        is_folder: bool,
+    },
     State(Box<ReadState>),
     /// A state or colours, for the picture that is shown.
     ForPicture(PathBuf),
@@ -129,11 +133,8 @@ impl StartWindow {
     pub(crate) fn show(&mut self, ui: &mut egui::Ui) {
         let ctx = ui.ctx().clone();
         style::install(&ctx);
-        if self.recent.poll(&ctx) && !self.has_folder {
-            self.has_folder = true;
-            if let Some(folder) = self.recent.folder() {
-                self.page.browser.go_to(folder.to_owned(), None);
-            }
+        if self.recent.poll(&ctx) {
+            self.take_recent();
         }
         if let Some(hints) = self.hints.take(&ctx) {
             self.app.hints = hints;
@@ -192,6 +193,18 @@ impl StartWindow {
         let dropped = self.problem.as_ref().filter(|(act, _)| *act == Act::Drop);
         if self.drop_frame.show(&ctx, &self.wake, dropped.map(|(_, problem)| problem.as_str())) {
             self.problem = self.problem.take().filter(|(act, _)| *act != Act::Drop);
+        }
+    }
+
+    /// The list is read, or cannot be.
+    fn take_recent(&mut self) {
+        if self.recent.problem().is_none() {
+            self.pictures.sweep(self.recent.entries());
+        }
+        if !std::mem::replace(&mut self.has_folder, true)
+            && let Some(folder) = self.recent.folder()
+        {
+            self.page.browser.go_to(folder.to_owned(), None);
         }
     }
 
@@ -393,8 +406,16 @@ impl StartWindow {
         }
         let act = self.dropped_by;
         match self.dropped.take() {
-            Some(Ok(Dropped::Volume(volume))) => {
-                let source = volume.to_string_lossy().into_owned();
+            // What was chosen by the system's dialog has its size and parts told before it is read, as in our list.
+            Some(Ok(Dropped::Volume { path, is_folder })) if act == Act::Open => {
+                match self.is_page_shown {
+                    true => self.page.browse_at(path, is_folder),
+                    false => self.app.open_file_dialog_at(ctx, path, is_folder),
+                }
+                ctx.request_repaint();
+            }
+            Some(Ok(Dropped::Volume { path, .. })) => {
+                let source = path.to_string_lossy().into_owned();
                 let max_bytes = self.services.servers.max_bytes();
                 self.open(act, LoadRequest { max_bytes, ..LoadRequest::new(source) });
             }
@@ -421,7 +442,10 @@ impl StartWindow {
             });
             let (kind, path) = known.into_iter().next().ok_or("no file")?;
             match kind {
-                KnownFile::Volume => Ok(Dropped::Volume(path)),
+                KnownFile::Volume => {
+                    let is_folder = matches!(content_of(&path), Ok(Content::Folder));
+                    Ok(Dropped::Volume { path, is_folder })
+                }
                 KnownFile::State if is_page_shown => state_in(&path).map(Dropped::State),
                 KnownFile::Transfer if is_page_shown => {
                     let name = path.display();

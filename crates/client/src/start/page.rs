@@ -90,6 +90,12 @@ impl StartPage {
         self.browser.focus();
     }
 
+    /// Opens it at a volume.
+    pub(crate) fn browse_at(&mut self, volume: PathBuf, is_folder: bool) {
+        self.is_browsing = true;
+        self.browser.select_volume(volume, is_folder);
+    }
+
     pub(crate) fn show(&mut self, ui: &mut Ui, scene: &PageScene<'_>) -> Option<PageWish> {
         let rect = ui.max_rect();
         ui.painter().rect_filled(rect, 0.0, ui.visuals().panel_fill);

@@ -4,10 +4,11 @@ use std::collections::{BTreeMap, VecDeque};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use egui::{ColorImage, Context, TextureHandle, TextureOptions};
 use isinglass_core::picture::Picture;
-use isinglass_formats::{RecentEntry, RecentPlace, png};
+use isinglass_formats::{Recent, RecentEntry, RecentPlace, png};
 use isinglass_net::{ReceivedFrame, place_of};
 
 use crate::panels::background::{Background, write_with_folder};
@@ -24,6 +25,7 @@ pub(crate) struct Keepsake {
 pub(crate) struct Pictures {
     /// None: pictures are not kept.
     folder: Option<PathBuf>,
+    recent_file: Option<PathBuf>,
     /// By the names of their files; none where there is no picture that can be read.
     textures: BTreeMap<String, Option<TextureHandle>>,
     reading: Background<Vec<(String, Option<ColorImage>)>>,
@@ -36,14 +38,20 @@ enum Change {
     Keep(Keepsake),
     /// Deletes the file of this name.
     Forget(String),
+    /// Deletes old pictures of what neither these places nor the file of the recent list name.
+    Sweep {
+        recent_file: PathBuf,
+        names: Vec<String>,
+    },
 }
 
 impl Pictures {
     /// In a folder beside the file of the recent list.
     pub(crate) fn new(recent_file: Option<&Path>) -> Self {
         let folder = recent_file.and_then(Path::parent).map(|folder| folder.join("pictures"));
+        let recent_file = recent_file.map(Path::to_owned);
         let (textures, reading, writing, due) = Default::default();
-        Self { folder, textures, reading, writing, due }
+        Self { folder, recent_file, textures, reading, writing, due }
     }
 
     /// Begins the next change of a file. Never waits.
@@ -118,6 +126,14 @@ impl Pictures {
         }
     }
 
+    /// Deletes pictures that no entry needs any more: another window may have dropped it. Call it when the list is read.
+    pub(crate) fn sweep(&mut self, entries: &[RecentEntry]) {
+        if let Some(recent_file) = self.recent_file.clone() {
+            let names = entries.iter().map(|entry| name_of(&entry.place)).collect();
+            self.due.push_back(Change::Sweep { recent_file, names });
+        }
+    }
+
     fn drop_texture(&mut self, name: &str) {
         self.textures.remove(name);
         // It may be reading the former file.
@@ -137,8 +153,34 @@ impl Change {
                 Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(format!("{name}: {e}")),
                 _ => Ok(()),
             },
+            Self::Sweep { recent_file, names } => sweep(folder, &recent_file, names),
         }
     }
+}
+
+/// See [`Change::Sweep`]. A list that cannot be read keeps everything.
+fn sweep(folder: &Path, recent_file: &Path, mut names: Vec<String>) -> Result<(), String> {
+    let list = Recent::read(recent_file).map_err(|e| e.to_string())?;
+    names.extend(list.entries.iter().map(|entry| name_of(&entry.place)));
+    let Ok(files) = std::fs::read_dir(folder) else { return Ok(()) };
+    // Another window may write a picture before its entry is in the file.
+    let is_old = |file: &std::fs::DirEntry| {
+        let age = file.metadata().and_then(|m| m.modified()).ok().and_then(|at| at.elapsed().ok());
+        age.is_some_and(|age| age >= LEAST_AGE)
+    };
+    for file in files.take(MOST_SWEPT).flatten() {
+        let name = file.file_name().to_string_lossy().into_owned();
+        if is_name(&name) && !names.contains(&name) && is_old(&file) {
+            std::fs::remove_file(file.path()).map_err(|e| format!("{name}: {e}"))?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether a file has a name as [`name_of`] gives it.
+fn is_name(name: &str) -> bool {
+    let hash = name.strip_suffix(".png").unwrap_or_default();
+    hash.len() == 16 && hash.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
 fn has_name(entries: &[RecentEntry], name: &str) -> bool {
@@ -146,7 +188,7 @@ fn has_name(entries: &[RecentEntry], name: &str) -> bool {
 }
 
 /// The name of a place's file: 16 digits of a hash, which tell nothing of the place.
-fn name_of(place: &RecentPlace) -> String {
+pub(super) fn name_of(place: &RecentPlace) -> String {
     let text = match place {
         RecentPlace::Server { host, port } => format!("server {}", place_of(host, *port)),
         RecentPlace::Volume(volume) => format!("volume {}", volume.source),
@@ -192,6 +234,10 @@ fn read(path: &Path) -> Option<ColorImage> {
         .then(|| ColorImage::from_rgb(size.map(|side| side as usize), &rgb.bytes))
 }
 
+/// Files that are looked at when pictures are swept.
+const MOST_SWEPT: usize = 4096;
+/// Younger pictures are not swept.
+const LEAST_AGE: Duration = Duration::from_secs(3600);
 /// Width and height of a picture, pixels, at most.
 const MOST_SIDE: u32 = 256;
 /// A PNG file of that size takes less.

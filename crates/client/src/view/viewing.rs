@@ -23,7 +23,7 @@ use crate::view::kept::KeptFrames;
 /// How the displayed picture relates to the server's picture of the same camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// No frame has arrived yet.
+    /// No frame has arrived yet, or nothing can be drawn yet.
     Waiting,
     /// The camera moves; the picture is a novel view of the newest frame.
     Moving,

@@ -8,6 +8,7 @@
 //! ([`crate::transfer`]). So the step length changes neither opacity nor the visible features. The march skips steps
 //! between lattice points within one invisible brick. The lattice stays, so the picture is the same without skipping.
 
+mod glossy;
 mod grid;
 pub mod modes;
 mod skipper;
@@ -21,6 +22,8 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
+pub use self::glossy::Highlight;
+use self::glossy::{LightLanes, VoxelRay};
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
 use self::modes::{Collected, SURFACES, SamplePair, Surface};
@@ -35,9 +38,7 @@ use crate::simd::has_avx2;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
 pub use crate::volume::Shading;
-use crate::volume::{
-    Bricks, Detail, Histogram, Illumination, LIT_MAX, Lighting, Lit, Matter, Occupancy, Volume,
-};
+use crate::volume::{Bricks, Detail, Histogram, Illumination, Lighting, Lit, Occlusion, Occupancy, Volume};
 
 /// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,8 +49,7 @@ pub struct MarchSettings {
     pub shading: Option<Shading>,
     /// The part of the volume that is marched.
     pub clip: Clip,
-    /// Ambient occlusion and shadows. Where both come from a [`Look`](crate::look::Look), shading uses the same
-    /// light.
+    /// Shade and highlights. Where both come from a [`Look`](crate::look::Look), shading uses the same light.
     pub lighting: Lighting,
     /// The detail of the lighting.
     pub detail: Detail,
@@ -108,7 +108,7 @@ impl Scene {
         let (table, surfaces) = classify(&volume, &histogram, transfer, &settings);
         let occupancy = modes::occupancy(&bricks, settings.mode, &table, &surfaces);
         let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &volume, &settings.clip);
-        let illumination = illuminate(&volume, &table, &surfaces, settings, None);
+        let illumination = modes::illuminate(&volume, &table, &surfaces, settings, None);
         Self {
             volume,
             bricks,
@@ -124,6 +124,16 @@ impl Scene {
 
     /// The same volume with another look. Bricks, histogram and unchanged lighting are shared.
     pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
+        self.with_look_near(transfer, settings, self.illumination.occlusion().as_ref())
+    }
+
+    /// The same, but a draft takes its ambient occlusion from `near`, or has none.
+    pub fn with_look_near(
+        &self,
+        transfer: &TransferFunction,
+        settings: MarchSettings,
+        near: Option<&Occlusion>,
+    ) -> Self {
         let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
         // Dragging a clip or a light does not change which bricks are visible.
         let is_seen_alike =
@@ -133,7 +143,8 @@ impl Scene {
             false => modes::occupancy(&self.bricks, settings.mode, &table, &surfaces),
         };
         let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &self.volume, &settings.clip);
-        let illumination = illuminate(&self.volume, &table, &surfaces, settings, Some(&self.illumination));
+        let before = Some((&self.illumination, near));
+        let illumination = modes::illuminate(&self.volume, &table, &surfaces, settings, before);
         Self { table, surfaces, has_lesser_bodies, occupancy, illumination, settings, ..self.clone() }
     }
 
@@ -188,23 +199,6 @@ fn classify(
         Vec::new()
     };
     (table, surfaces)
-}
-
-fn illuminate(
-    volume: &Volume,
-    table: &TransferTable,
-    surfaces: &[Surface],
-    settings: MarchSettings,
-    before: Option<&Illumination>,
-) -> Illumination {
-    let MarchSettings { mut shading, mut lighting, detail, clip, mode, .. } = settings;
-    if mode.is_projection() {
-        (shading, lighting) = (None, Lighting::default());
-    }
-    let region = clip.region(&volume.bounds());
-    let sheets = surfaces::sheets(surfaces);
-    let matter = if mode == Mode::Iso { Matter::Surfaces(&sheets) } else { Matter::Medium(table) };
-    Illumination::of(volume, table, matter, shading, &region, lighting, detail, before)
 }
 
 /// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n.
@@ -292,6 +286,7 @@ pub struct Marcher<'a, T> {
     scene: &'a Scene,
     voxels: Grid<T>,
     lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
+    highlight: Option<Highlight>,
     visible_bins: VisibleBins,
     /// See [`modes::key_limit`].
     pub(crate) key_limit: f32,
@@ -311,6 +306,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
             scene,
             voxels: Grid::new(texels, dims),
             lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims), &**lit)),
+            highlight: scene.highlight(),
             visible_bins: VisibleBins::of(&scene.table),
             key_limit: modes::key_limit(scene.settings.mode, &scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
@@ -367,7 +363,9 @@ impl<'a, T: Texels> Marcher<'a, T> {
     fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let Lattice { s0, h, n, .. } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
-        let dir = safe_dir(ray.dir) * self.voxel_from_world;
+        let voxel_ray =
+            VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, self.highlight.as_ref());
+        let dir = voxel_ray.dir;
         let skipper = Skipper::new(self, origin, dir, lattice);
         let mut i = 0;
         let mut stride = 1;
@@ -402,16 +400,17 @@ impl<'a, T: Texels> Marcher<'a, T> {
                 steps &= (1 << num_steps) - 1;
             }
             if steps != 0 {
-                let brightness = if MODE == Mode::Composite as u8 {
-                    self.shade_lanes(origin, dir, &s_front, &s_back)
+                let light = if MODE == Mode::Composite as u8 {
+                    self.light_lanes(&voxel_ray, &s_front, &s_back)
                 } else {
-                    [1.0; LANES]
+                    LightLanes::PLAIN
                 };
                 while steps != 0 {
                     let m = steps.trailing_zeros() as usize % LANES;
                     steps &= steps - 1;
                     let between = SamplePair { x0: x0[m], x1: x1[m], s0: s_front[m], s1: s_back[m] };
-                    if let Some(pace) = self.take::<MODE>(&between, brightness[m], (origin, dir), sink) {
+                    let light = self.light_of_lane(&light, &voxel_ray, m);
+                    if let Some(pace) = self.take::<MODE>(&between, light, &voxel_ray, sink) {
                         let next_stride = match pace {
                             Advance::Stop => return,
                             Advance::Step => 1,
@@ -482,21 +481,6 @@ impl<'a, T: Texels> Marcher<'a, T> {
         }
         let x = if x > 0.0 { x } else { 0.0 };
         if x < 1.0 { x } else { 1.0 }
-    }
-
-    /// Brightness of matter at the middles of steps, interpolated trilinearly between voxels.
-    #[inline(always)]
-    fn shade_lanes(&self, origin: Vec3, dir: Vec3, s_front: &Lanes, s_back: &Lanes) -> Lanes {
-        let Some((grid, lit)) = &self.lit else { return [1.0; LANES] };
-        let mut middle = [0.0; LANES];
-        for m in 0..LANES {
-            middle[m] = 0.5 * (s_front[m] + s_back[m]);
-        }
-        let mut brightness = grid.sample_lanes(origin, dir, &middle);
-        for b in &mut brightness {
-            *b = lit.ambient + lit.diffuse * (*b * (1.0 / LIT_MAX));
-        }
-        brightness
     }
 }
 

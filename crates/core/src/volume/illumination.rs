@@ -38,6 +38,18 @@ pub struct Illumination {
     lit: Option<Arc<Lit>>,
 }
 
+/// The ambient occlusion of a look. A draft of a similar look may borrow it. Clones share it.
+#[derive(Clone, Debug)]
+pub struct Occlusion(Arc<Shade>);
+
+impl Occlusion {
+    /// Whether its volume had as many voxels.
+    fn fits(&self, volume: &Volume) -> bool {
+        let Shade { dims, voxels, .. } = &*self.0;
+        (0..3).all(|axis| dims[axis] == (volume.dims()[axis] as usize).div_ceil(voxels[axis].max(1)))
+    }
+}
+
 type GradedShade = (Detail, Arc<Shade>);
 
 /// The inputs of extinction: a table's nodes and the map to them, or surfaces; and the region.
@@ -68,7 +80,8 @@ impl Classes {
 
 impl Illumination {
     /// Lights a volume in the domain of `table`, where `matter` attenuates light. Matter outside `region`, a part of
-    /// its box, throws no shadow. Unchanged results of the same detail are taken from `before`, of the same volume.
+    /// its box, throws no shadow. Unchanged results of the same detail are taken from `before`, of the same volume. With
+    /// it comes the occlusion that a draft of another look takes.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that brightness depends on")]
     pub fn of(
         volume: &Volume,
@@ -78,12 +91,12 @@ impl Illumination {
         region: &Region,
         lighting: Lighting,
         detail: Detail,
-        before: Option<&Self>,
+        before: Option<(&Self, Option<&Occlusion>)>,
     ) -> Self {
         let classes = Classes::of(table, matter, region);
         let gradients = shading.map(|shading| {
             let is_same = |b: &&Self| b.shading == Some(shading) && b.classes.x_map.0 == table.x_scale;
-            let kept = before.filter(is_same).and_then(|b| b.gradients.clone());
+            let kept = before.map(|(b, _)| b).filter(is_same).and_then(|b| b.gradients.clone());
             kept.unwrap_or_else(|| Arc::new(Lit::of(volume, shading, table.x_scale)))
         });
         let mut found = Self {
@@ -98,23 +111,28 @@ impl Illumination {
             gradients,
         };
         if lighting.is_on() {
+            let near = before.and_then(|(_, near)| near).filter(|near| near.fits(volume));
+            let before = before.map(|(b, _)| b);
             let alike = before.filter(|b| b.classes.shades_like(&found.classes));
-            // Occlusion takes long, and that of the look before is near. So an edit does not wait for it.
-            let of_other = before.filter(|_| detail == Detail::Draft && alike.is_none());
-            found.shade(volume, matter, region, detail, (alike, of_other));
-            found.lit = Some(Arc::new(found.combined(volume)));
+            // Occlusion takes long, and that of a look before is near. So an edit does not wait for it.
+            let has_own = alike.is_some_and(|b| b.occlusion.is_some() && !b.lacks_occlusion);
+            let is_draft_of_other = detail == Detail::Draft && before.is_some() && !has_own;
+            let borrowed = is_draft_of_other && (near.is_some() || alike.is_none());
+            found.shade(volume, matter, region, detail, (alike, borrowed.then_some(near)));
+            let kept = before.filter(|b| found.combines_like(b)).and_then(|b| b.lit.clone());
+            found.lit = Some(kept.unwrap_or_else(|| Arc::new(found.combined(volume))));
         }
         found
     }
 
-    /// `before` has the same extinctions. A draft takes its occlusion from `of_other`, if that is given.
+    /// `before` has the same extinctions. If `borrowed` is given, the occlusion is that, or there is none.
     fn shade(
         &mut self,
         volume: &Volume,
         matter: Matter<'_>,
         region: &Region,
         detail: Detail,
-        (before, of_other): (Option<&Self>, Option<&Self>),
+        (before, borrowed): (Option<&Self>, Option<Option<&Occlusion>>),
     ) {
         let lighting = self.lighting;
         let mut extinction = before.and_then(|b| b.extinction.clone()).filter(|e| e.0 == detail);
@@ -125,12 +143,13 @@ impl Illumination {
         };
         let is_fine = |part: &GradedShade| part.0 == detail || part.0 == Detail::Final;
         if lighting.ambient_occlusion > 0.0 {
-            let kept = before.filter(|b| b.lighting.occlusion_radius == lighting.occlusion_radius);
-            let kept = kept.and_then(|b| b.occlusion.clone()).filter(is_fine);
+            let is_own =
+                |b: &&Self| !b.lacks_occlusion && b.lighting.occlusion_radius == lighting.occlusion_radius;
+            let kept = before.filter(is_own).and_then(|b| b.occlusion.clone()).filter(is_fine);
             let radius = lighting.occlusion_radius * volume.bounds().radius();
-            self.lacks_occlusion = kept.is_none() && of_other.is_some();
-            self.occlusion = kept.or_else(|| match of_other {
-                Some(other) => other.occlusion.clone().map(|part| (Detail::Draft, part.1)),
+            self.lacks_occlusion = kept.is_none() && borrowed.is_some();
+            self.occlusion = kept.or_else(|| match borrowed {
+                Some(near) => near.map(|near| (Detail::Draft, near.0.clone())),
                 None => Some(shaded_by(&|e| Shade::occlusion(e, radius, detail))),
             });
         }
@@ -148,15 +167,39 @@ impl Illumination {
         self.lit.as_ref()
     }
 
-    /// Whether there is any occlusion, of this look or of another.
-    pub fn has_occlusion(&self) -> bool {
-        self.occlusion.is_some()
+    /// The ambient occlusion, of this look or borrowed from another.
+    pub fn occlusion(&self) -> Option<Occlusion> {
+        self.occlusion.as_ref().map(|part| Occlusion(part.1.clone()))
     }
 
     /// Whether the shade has its final detail, or there is none.
     pub fn is_final(&self) -> bool {
         !self.lacks_occlusion
             && [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
+    }
+
+    /// Brightness of matter without ambient occlusion and shadows, as ambient and diffuse. `None` where there are none
+    /// of both, or no shading.
+    pub fn open(&self) -> Option<(f32, f32)> {
+        self.shading.filter(|_| self.lighting.is_on()).map(|s| (s.ambient, s.diffuse))
+    }
+
+    /// Whether [`Self::combined`] has the same inputs.
+    fn combines_like(&self, other: &Self) -> bool {
+        let strengths = |i: &Self| (i.lighting.ambient_occlusion, i.lighting.shadows);
+        let is_same = |a: &Option<GradedShade>, b: &Option<GradedShade>| match (a, b) {
+            (Some((_, a)), Some((_, b))) => Arc::ptr_eq(a, b),
+            (a, b) => a.is_none() && b.is_none(),
+        };
+        let has_same_gradients = match (&self.gradients, &other.gradients) {
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+            (a, b) => a.is_none() && b.is_none(),
+        };
+        has_same_gradients
+            && strengths(self) == strengths(other)
+            && self.classes.sheets.is_some() == other.classes.sheets.is_some()
+            && is_same(&self.occlusion, &other.occlusion)
+            && is_same(&self.shadow, &other.shadow)
     }
 
     /// The brightness of every voxel, as one number.
@@ -269,6 +312,8 @@ mod tests {
         softness_degrees: 20.0,
         azimuth_degrees: 10.0,
         elevation_degrees: 60.0,
+        specular: 0.0,
+        shininess: 20.0,
     };
 
     #[test]
@@ -319,6 +364,10 @@ mod tests {
         assert!(same(&weaker.occlusion, &first.illumination.occlusion));
         assert!(same(&weaker.shadow, &first.illumination.shadow));
         assert_ne!(weaker.lit(), first.illumination.lit());
+        // Highlights use the brightness that is there.
+        let glossy = with(Lighting { specular: 0.5, shininess: 60.0, ..lighting });
+        assert!(Arc::ptr_eq(glossy.lit().unwrap(), first.illumination.lit().unwrap()));
+        assert!(!Arc::ptr_eq(weaker.lit().unwrap(), first.illumination.lit().unwrap()));
         let turned = with(Lighting { azimuth_degrees: 50.0, ..lighting });
         assert!(same(&turned.occlusion, &first.illumination.occlusion));
         assert!(!same(&turned.shadow, &first.illumination.shadow));
@@ -393,11 +442,20 @@ mod tests {
         let (bare, lit) = (scene(true, OFF), scene(true, lighting));
         // None yet: the draft is as bright as without, and no final.
         let first = bare.with_look(&transfer(0.2), in_draft).illumination;
-        assert!(!first.has_occlusion() && !first.is_final());
+        assert!(first.occlusion().is_none() && !first.is_final());
         let draft = lit.with_look(&transfer(0.2), in_draft);
         let shared = |l: &Illumination| Arc::as_ptr(&l.occlusion.as_ref().unwrap().1);
         assert_eq!(shared(&draft.illumination), shared(&lit.illumination));
         assert!(!draft.illumination.is_final());
+        // A caller may name another one, or none, whatever this scene has.
+        let far = Scene::new(lit.volume.clone(), &transfer(0.01), settings).illumination;
+        let near = lit.with_look_near(&transfer(0.2), in_draft, far.occlusion().as_ref());
+        assert_eq!(shared(&near.illumination), shared(&far));
+        let none = lit.with_look_near(&transfer(0.2), in_draft, None).illumination;
+        assert!(none.occlusion().is_none() && !none.is_final());
+        // What is borrowed is nobody's own: a look like the draft's borrows anew.
+        let again = draft.with_look_near(&transfer(0.2), in_draft, far.occlusion().as_ref());
+        assert_eq!(shared(&again.illumination), shared(&far));
         // In the end, each has its own.
         let own = draft.with_look(&transfer(0.2), settings).illumination;
         assert!(own.is_final() && shared(&own) != shared(&lit.illumination));

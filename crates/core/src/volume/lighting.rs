@@ -1,10 +1,10 @@
-//! The user's choices for lighting: the strength of shade, and the direction of the light.
+//! The user's choices for lighting: shade, highlights, and the direction of the light.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-/// Direction of the light, and strength of the shade. Light is fixed in the world, so colours do not depend on the
-/// view.
+/// Direction of the light, strength of the shade, and highlights. Light is fixed in the world, so only highlights
+/// depend on the view.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Lighting {
@@ -21,6 +21,10 @@ pub struct Lighting {
     pub azimuth_degrees: f32,
     /// Direction of the light as an orbit's elevation: 90 from +y; degrees, -90 to 90.
     pub elevation_degrees: f32,
+    /// Strength of the highlights of shaded matter, 0 for none to 1.
+    pub specular: f32,
+    /// Exponent of the highlights: the higher, the smaller they are. 1 to [`SHININESS_MAX`].
+    pub shininess: f32,
 }
 
 /// A number of a [`Lighting`] is out of range.
@@ -46,6 +50,8 @@ impl Default for Lighting {
             softness_degrees: 8.0,
             azimuth_degrees: -34.29,
             elevation_degrees: 36.9,
+            specular: 0.0,
+            shininess: 20.0,
         }
     }
 }
@@ -90,6 +96,8 @@ impl Lighting {
             ("softness of the shadows", self.softness_degrees, 0.0, SOFTNESS_MAX_DEGREES),
             ("azimuth of the light", self.azimuth_degrees, -180.0, 180.0),
             ("elevation of the light", self.elevation_degrees, -90.0, 90.0),
+            ("specular", self.specular, 0.0, 1.0),
+            ("shininess", self.shininess, 1.0, SHININESS_MAX),
         ];
         for (what, found, least, most) in ranges {
             if !(least..=most).contains(&found) {
@@ -106,6 +114,8 @@ pub const OCCLUSION_RADIUS_MIN: f32 = 0.02;
 pub const OCCLUSION_RADIUS_MAX: f32 = 0.5;
 /// Widest source of light, degrees.
 pub const SOFTNESS_MAX_DEGREES: f32 = 45.0;
+/// Smallest highlights.
+pub const SHININESS_MAX: f32 = 128.0;
 
 #[cfg(test)]
 mod tests {
@@ -143,8 +153,15 @@ mod tests {
             Lighting { softness_degrees: 46.0, ..good },
             Lighting { azimuth_degrees: 181.0, ..good },
             Lighting { elevation_degrees: f32::INFINITY, ..good },
+            Lighting { specular: f32::NAN, ..good },
+            Lighting { specular: -0.1, ..good },
+            Lighting { specular: 1.01, ..good },
+            Lighting { shininess: f32::NAN, ..good },
+            Lighting { shininess: 0.5, ..good },
+            Lighting { shininess: 129.0, ..good },
         ] {
-            assert!(bad.validate().is_err(), "{bad:?}");
+            let error = bad.validate().expect_err("a number is out of range").to_string();
+            assert!(error.contains(", expected ") && !error.contains('\n'), "{error}");
         }
     }
 }

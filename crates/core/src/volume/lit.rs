@@ -10,8 +10,8 @@ use rayon::prelude::*;
 use super::grid::{Volume, Voxels};
 use super::lighting::Lighting;
 
-/// Two-sided diffuse shading by the gradient, from a light fixed in the world. Colour does not depend on the view, as
-/// layered frames require (Lochmann 2016, section 5: isotropic emission).
+/// Two-sided diffuse shading by the gradient, from a light fixed in the world. It does not depend on the view, like
+/// the colours of a layered frame (Lochmann 2016, section 5: isotropic emission).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shading {
     /// Brightness of matter seen edge-on by the light.
@@ -132,7 +132,7 @@ impl RowDifferences {
 pub const LIT_MAX: f32 = 255.0;
 /// Steepest gradient, domain positions per voxel: its square is finite. Only domains far narrower than the values
 /// have steeper ones.
-const GRADIENT_MAX: f32 = 1e6;
+pub const GRADIENT_MAX: f32 = 1e6;
 
 #[cfg(test)]
 mod tests {

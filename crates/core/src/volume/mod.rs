@@ -18,9 +18,9 @@ pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
 pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
 pub use grid::{Placement, Volume, VolumeError, VolumeInfo, Voxels};
 pub use histogram::{Histogram, parting_value};
-pub use illumination::Illumination;
+pub use illumination::{Illumination, Occlusion};
 pub use lighting::{
-    Lighting, LightingError, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SOFTNESS_MAX_DEGREES,
+    Lighting, LightingError, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SHININESS_MAX, SOFTNESS_MAX_DEGREES,
 };
-pub use lit::{LIT_MAX, Lit, Shading};
+pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};

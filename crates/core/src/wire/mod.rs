@@ -35,8 +35,8 @@ pub use slice::{SliceRequest, WantedSlices};
 pub use token::{Token, TokenError};
 
 /// Version of the protocol on a connection.
-pub const PROTOCOL_VERSION: u32 = 13;
+pub const PROTOCOL_VERSION: u32 = 14;
 /// Protocol name in the TLS handshake: peers of another version get no further.
-pub const ALPN: &[u8] = b"isinglass/13";
+pub const ALPN: &[u8] = b"isinglass/14";
 /// Length of the longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

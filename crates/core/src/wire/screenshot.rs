@@ -22,8 +22,8 @@ pub struct ScreenshotRequest {
     pub view: Vec<u8>,
     /// Background behind the volume, sRGB; `None` for a transparent picture.
     pub background: Option<[u8; 3]>,
-    /// The look, if it is not the viewer's own. Its lighting does not count: the picture has no shadows and no ambient
-    /// occlusion.
+    /// The look, if it is not the viewer's own. Its lighting does not count: the picture has no shadows, no ambient
+    /// occlusion and no highlights.
     pub look: Option<Box<Look>>,
 }
 

@@ -40,6 +40,8 @@ fn look() -> Look {
             softness_degrees: 8.0,
             azimuth_degrees: -30.0,
             elevation_degrees: 40.0,
+            specular: 0.75,
+            shininess: 64.0,
         },
         k: 5,
         clip: Clip {

@@ -1,7 +1,7 @@
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use isinglass_core::volume::SlabMode;
+use isinglass_core::volume::{Lighting, SlabMode};
 
 use super::*;
 use crate::dtype::{Dtype, Endian};
@@ -37,6 +37,11 @@ fn slices(seed: u32) -> SavedSlices {
         in_picture: seed.is_multiple_of(3),
         large: (seed % 5 == 1).then_some(2),
     }
+}
+
+fn lighting(seed: u32) -> Lighting {
+    let (specular, shininess) = (odd(seed), 100.0 * odd(seed + 1) + 1.0);
+    Lighting { specular, shininess, azimuth_degrees: -90.0 * odd(seed), ..Lighting::default() }
 }
 
 fn state(seed: u32) -> SavedState {
@@ -78,7 +83,13 @@ fn state(seed: u32) -> SavedState {
             slices: seed.is_multiple_of(2).then(|| slices(seed)),
             ..SavedView::default()
         },
-        look: Some(Look { shaded: seed.is_multiple_of(2), k: 9, clip: clip(seed), ..Look::new(transfer) }),
+        look: Some(Look {
+            shaded: seed.is_multiple_of(2),
+            lighting: lighting(seed),
+            k: 9,
+            clip: clip(seed),
+            ..Look::new(transfer)
+        }),
         ..SavedState::default()
     }
 }

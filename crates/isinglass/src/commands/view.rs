@@ -117,7 +117,10 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     args.look.tf.as_deref().map(load_transfer).transpose()?;
     let choices_file = local::choices_file();
     // A file that cannot be read is replaced by the next choice.
-    let read = |file: &PathBuf| Remembered::read(file).map_err(|e| note(&format!("no choices: {e}"))).ok();
+    let read = |file: &PathBuf| {
+        let left_out = |line| note(&format!("a choice is left out: {line}"));
+        Remembered::read(file, left_out).map_err(|e| note(&format!("no choices: {e}"))).ok()
+    };
     let choices = choices_file.as_ref().and_then(read).unwrap_or_default();
     let ((size, state_sets_size), state) = seen.window(args.size, args.fov, &args.window, &choices);
     // This comes first, because a link admits one viewer and must not be used up without a display.

@@ -59,6 +59,8 @@ pub(super) const SETTINGS: &[Known] = &[
     server("look", "shadows", "shadows"),
     server("look", "softness", "softness"),
     server("look", "light", "light"),
+    server("look", "specular", "specular"),
+    server("look", "shininess", "shininess"),
     server("look", "k", "k"),
     viewer("window", "size", "size"),
     viewer("window", "fov", "fov"),

@@ -10,7 +10,7 @@ use isinglass_net::SessionClosed;
 use tokio::time::Instant;
 
 use super::Viewer;
-use crate::generator::{GenerateError, Generated, Wish};
+use crate::generator::{GenerateError, Generated, Wanted, Wish};
 use crate::pipeline::{Coded, Event, Sent, Ticket};
 
 impl Viewer {
@@ -34,8 +34,9 @@ impl Viewer {
         let asked = self.frames.begin(now, &request, &talk.look, &self.present.bounds);
         let (generator, scene) = (self.common.generator.clone(), self.present.scene);
         let (look, wish) = ((**talk.look.look()).clone(), Wish::default());
-        let (header, wanted) = (asked.header, wish.clone());
-        let making = async move { generator.generate(scene, look, header, wanted).await };
+        let near = self.occlusion.clone();
+        let wanted = Wanted { look, near, header: asked.header, wish: wish.clone() };
+        let making = async move { generator.generate(scene, wanted).await };
         self.pipeline.generate(asked, wish, making);
         None
     }
@@ -89,6 +90,10 @@ impl Viewer {
         match generated {
             Ok(generated) => {
                 self.frames.handle_generated(generated.generate_micros);
+                // Without light there is none, and a light that is switched on again begins with the former.
+                if let Some(occlusion) = &generated.occlusion {
+                    self.occlusion = Some(occlusion.clone());
+                }
                 let (now, version) = (self.now_micros(), asked.header.look);
                 let look = self.session.talk().look.handle_generated(now, version, generated.is_draft);
                 match look {

@@ -101,3 +101,17 @@ fn pictures_of_modes_follow_the_curve_and_all_follow_the_clip() {
     rest(&mut w);
     assert_eq!(shots(&w) - edited, first);
 }
+
+/// While the pipelines of the first picture are made, nothing is drawn, whatever the frame is.
+#[test]
+fn the_badge_waits_until_something_is_drawn() {
+    let mut w = window([1280.0, 720.0]);
+    let words = |w: &Harness<'_, ViewerApp<HereSource>>| {
+        ["waiting", "settled"].map(|word| w.query_by_label(word).is_some())
+    };
+    for (is_blank, expected) in [(true, [true, false]), (false, [false, true])] {
+        w.state().picture_status.set_blank(is_blank);
+        rest(&mut w);
+        assert_eq!(words(&w), expected, "{is_blank}");
+    }
+}

@@ -29,16 +29,20 @@ fn fast() -> HereSource {
     timed(10_000)
 }
 
+fn read(file: &Path) -> Result<Remembered, isinglass_formats::FormatError> {
+    Remembered::read(file, |left_out| panic!("{left_out}"))
+}
+
 /// Waits for a file that holds what is expected. Threads write it.
 fn wait_for(w: &mut Harness<'_, ViewerApp<HereSource>>, file: &Path, is_there: fn(&Remembered) -> bool) {
     for _ in 0..2000 {
         w.step();
-        if Remembered::read(file).is_ok_and(|read| is_there(&read)) {
+        if read(file).is_ok_and(|read| is_there(&read)) {
             return;
         }
         std::thread::sleep(Duration::from_millis(1));
     }
-    panic!("not written: {:?}", Remembered::read(file));
+    panic!("not written: {:?}", read(file));
 }
 
 #[test]
@@ -62,7 +66,7 @@ fn choices_are_kept_and_reset() {
     rest(&mut w);
     wait_for(&mut w, &file, |read| read.view.shows_box.is_some());
     w.run_steps(80);
-    assert_eq!(Remembered::read(&file).unwrap().light, None);
+    assert_eq!(read(&file).unwrap().light, None);
     w.get_by_label("Light").scroll_to_me();
     rest(&mut w);
     w.get_by_label("Light").click();
@@ -70,7 +74,7 @@ fn choices_are_kept_and_reset() {
     w.get_by_role_and_label(egui::Role::Slider, "ambient occlusion").set_value_accesskit(25.0);
     rest(&mut w);
     wait_for(&mut w, &file, |read| read.light.is_some());
-    let read = Remembered::read(&file).unwrap();
+    let read = read(&file).unwrap();
     assert_eq!((read.view.shows_box, read.panel), (Some(true), Some(true)));
     assert_eq!((read.light, read.view.theme, read.view.background), (Some(lighting_of(0.25)), None, None));
     // The next window has the light.
@@ -125,5 +129,5 @@ fn the_last_choice_is_kept_at_exit() {
     w.run_steps(2);
     assert!(!file.exists(), "it may change again");
     w.state_mut().finish_choices();
-    assert_eq!(Remembered::read(&file).unwrap().view.shows_legend, Some(true));
+    assert_eq!(read(&file).unwrap().view.shows_legend, Some(true));
 }

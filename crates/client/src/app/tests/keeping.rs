@@ -277,3 +277,61 @@ fn a_turntable_can_be_a_movie_and_a_cancelled_one_leaves_nothing() {
     assert!(folder.files().is_empty(), "{:?}", folder.files().len());
     assert!(w.state().notice().contains("No movie"), "{}", w.state().notice());
 }
+
+#[test]
+fn a_recorded_path_becomes_pictures_along_it_and_a_file() {
+    let folder = Folder::new("path");
+    let mut w = window([640.0, 480.0]);
+    w.state_mut().screenshots.folder = folder.0.display().to_string();
+    let record = |w: &mut Harness<'_, ViewerApp<HereSource>>| press(w, Modifiers::COMMAND, Key::R);
+    record(&mut w);
+    assert!(w.query_by_label_contains("recording, ").is_some());
+    w.get_by_label("Stop").click();
+    rest(&mut w);
+    assert!(w.state().notice().contains("did not move") && !w.state().screenshots.has_path());
+    // It begins and ends with the movement, not with the rests around it.
+    rest(&mut w);
+    let first = pose(&w);
+    record(&mut w);
+    for by in [vec2(120.0, 0.0), vec2(0.0, 60.0)] {
+        drag(&mut w, egui::pos2(260.0, 240.0), by, Modifiers::NONE);
+    }
+    let last = pose(&w);
+    record(&mut w);
+    for (name, value) in [("width", 40), ("height", 30)] {
+        w.state_mut().screenshots.set_for_test(name, value);
+    }
+    rest(&mut w);
+    assert_eq!(w.unnamed_widgets(), Vec::<String>::new());
+    w.get_by_label("files").click();
+    rest(&mut w);
+    w.get_by_label("Save the path").click();
+    rest(&mut w);
+    w.get_by_label("Take the pictures").click();
+    w.run_steps(2);
+    finish(&mut w);
+    let mut files = folder.files();
+    let (name, text) = files.remove(files.iter().position(|(name, _)| name.ends_with(".txt")).unwrap());
+    assert!(name.contains("-path"), "{name}");
+    let path = crate::CameraPath::parse(std::str::from_utf8(&text).unwrap()).unwrap();
+    let expected_num = (path.duration().as_secs_f32() * 25.0).ceil() as usize + 1;
+    assert!(files.len() == expected_num && files.len() > 3, "{} of {expected_num}", files.len());
+    assert!(files[0].1 == expected(&w, first, (40, 30)), "it begins where the camera was");
+    let end = isinglass_formats::png::decode(&files[files.len() - 1].1, 1 << 20).unwrap();
+    let of_last = isinglass_formats::png::decode(&expected(&w, last, (40, 30)), 1 << 20).unwrap();
+    let apart = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
+    let of_first = isinglass_formats::png::decode(&files[0].1, 1 << 20).unwrap();
+    // Its own place is rounded.
+    assert!(apart(&end.bytes, &of_last.bytes) * 4 < apart(&of_first.bytes, &of_last.bytes));
+    // The menu asks for it again, as a movie.
+    w.get_by_label("Picture").click();
+    rest(&mut w);
+    w.get_by_label("Movie of the path…").click();
+    rest(&mut w);
+    w.get_by_label("GIF").click();
+    rest(&mut w);
+    w.get_by_label("Make the movie").click();
+    w.run_steps(2);
+    finish(&mut w);
+    assert!(folder.files().iter().any(|(name, _)| name.ends_with("-path.gif")));
+}

@@ -49,7 +49,7 @@ fn two_clicks_tell_the_distance_of_what_is_seen_there() {
     let expected = format!("{:.2}", a.distance(b));
     let told = w.state().told().remove(0);
     assert!(told.starts_with(&expected[..3]), "{told} {expected}");
-    assert!(w.query_by_label_contains(&format!("1: Distance {told}")).is_some(), "the pane says so");
+    assert!(w.query_by_label_contains(&format!("1: Distance {told}")).is_some(), "the bar says so");
     assert_eq!(w.unnamed_widgets(), Vec::<String>::new());
     // The camera has not moved, and a drag beside the points still turns it.
     let before = pose(&w);
@@ -67,6 +67,8 @@ fn a_point_is_dragged_over_the_surface_and_the_camera_stays() {
     let after = points(&w, 0);
     assert_eq!((pose(&w), after[0]), (before.0, before.1[0]));
     assert!(on_screen(&w, after[1]).distance(from + vec2(-20.0, -90.0)) < 0.5);
+    w.get_by_label("list of measurements").click();
+    rest(&mut w);
     w.get_by_label("remove measurement 1").click();
     rest(&mut w);
     assert!(w.state().measures.measures().is_empty());
@@ -92,7 +94,7 @@ fn the_values_along_a_line_are_the_server_s_and_go_to_a_csv_file() {
 
     let folder = tempfile::TempDir::new().unwrap();
     let path = folder.path().join("a.csv");
-    w.state_mut().measure_pane.set_path(&path);
+    w.state_mut().measure_bar.set_path(&path);
     w.get_by_label("Save as CSV").click();
     for _ in 0..2000 {
         w.step();
@@ -145,7 +147,6 @@ fn two_clicks_on_a_slice_tell_the_distance_in_its_plane() {
     for key in [Key::X, Key::D] {
         press(&mut w, Modifiers::NONE, key);
     }
-    // The pane of the measurements covers the upper right, so the lower left is taken.
     let rect = w.get_by_label_contains("across z, slice ").rect();
     let app = w.state();
     let stack = app.stacks(&app.viewing.source().description().unwrap().volume)[1];
@@ -219,4 +220,44 @@ fn a_state_keeps_what_was_measured() {
     rest(&mut other);
     assert_eq!(points(&other, 0), points(&w, 0));
     assert!(other.state().measures.is_on, "it is seen at once");
+}
+
+/// The bar leaves room for the picture and the slices, and opens only when the person says so.
+#[test]
+fn the_bar_leaves_the_picture_and_the_slices_free() {
+    use crate::app::tests::window_walk::{assert_all_named, assert_tab_reaches_all, cut_off, outside};
+    for size in [[1280.0, 800.0], [700.0, 500.0]] {
+        let mut w = window(size);
+        let screen = egui::Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        press(&mut w, Modifiers::NONE, Key::X);
+        let before = w.state().room;
+        press(&mut w, Modifiers::NONE, Key::D);
+        for is_open in [false, true] {
+            let room = w.state().room;
+            let least = if is_open { 0.5 } else { 0.9 };
+            assert!(room.height() > least * before.height(), "{size:?}, {room:?} of {before:?}");
+            let is_bare = |at: egui::Pos2| w.ctx.layer_id_at(at).unwrap().order == egui::Order::Background;
+            assert!(is_bare(room.center()) && is_bare(room.right_top() + vec2(-4.0, 4.0)), "{size:?}");
+            assert_eq!(outside(&w, screen), Vec::<String>::new(), "{size:?}");
+            assert_eq!(cut_off(&w), Vec::<String>::new(), "{size:?}");
+            w.get_by_label("list of measurements").click();
+            rest(&mut w);
+        }
+        for (kind, y) in [("Distance", -15.0), ("Profile", 15.0)] {
+            w.get_by_label(kind).click();
+            rest(&mut w);
+            let middle = w.get_by_label_contains("across z, slice ").rect().center();
+            [-30.0, 20.0].into_iter().for_each(|x| click_at(&mut w, middle + vec2(x, y)));
+        }
+        // Values along a line are seen at once.
+        assert!(
+            w.query_by_label("plot of the values").is_some() && w.query_by_label("Save as CSV").is_some()
+        );
+        assert_eq!((outside(&w, screen), cut_off(&w)), Default::default(), "{size:?}");
+        assert_all_named(&w);
+        assert_tab_reaches_all(&mut w);
+        w.get_by_label("stop measuring").click();
+        rest(&mut w);
+        assert_eq!(w.state().room, before);
+    }
 }

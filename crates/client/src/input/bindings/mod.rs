@@ -56,6 +56,8 @@ pub enum Action {
     Picture,
     /// Open the dialog for a picture of another size, or for a turntable.
     PictureDialog,
+    /// Begin to record the way of the camera, or end it.
+    RecordPath,
     /// Choose the next mode.
     Mode,
     /// Undo an edit of the transfer function.
@@ -509,6 +511,7 @@ const TABLE: &[Line] = &[
         "picture of another size, turntable",
         &[("picture-dialog", Deed::Act(Action::PictureDialog), &["ctrl+shift+s"])],
     ),
+    keys("record the camera for a movie", &[("record-path", Deed::Act(Action::RecordPath), &["ctrl+r"])]),
     fixed("Tab, Shift+Tab", "the next control, the one before"),
     fixed("Ctrl++, Ctrl+-, Ctrl+0", "larger texts, smaller ones, as at first"),
     keys("this help", &[("help", Deed::Act(Action::Help), &["h", "F1"])]),

@@ -38,6 +38,8 @@ pub(crate) struct Browser {
     looked_at: Option<LookedAt>,
     /// Whether the folder itself is selected as a volume.
     takes_folder: bool,
+    /// A volume that was chosen elsewhere. The list may not have it.
+    given: Option<PathBuf>,
 }
 
 pub(crate) enum Chosen {
@@ -77,6 +79,7 @@ impl Browser {
             typed: (String::new(), 0.0),
             looked_at: None,
             takes_folder: false,
+            given: None,
         }
     }
 
@@ -101,7 +104,23 @@ impl Browser {
         self.folder = Folder::open(folder, &self.wake);
         (self.selected, self.wanted_name, self.scrolls) = (None, select, true);
         (self.looked_at, self.takes_folder, self.missing_name) = (None, false, None);
-        self.enters_wanted = false;
+        (self.enters_wanted, self.given) = (false, None);
+    }
+
+    /// Selects a volume that was chosen elsewhere. `is_folder` if the files in it are the volume together.
+    pub(crate) fn select_volume(&mut self, volume: PathBuf, is_folder: bool) {
+        let (parent, name) = (volume.parent().map(Path::to_owned), volume.file_name());
+        match (parent, name.map(|name| name.to_string_lossy().into_owned())) {
+            (Some(parent), name) if !is_folder => {
+                self.go_to(parent, name);
+                self.given = Some(volume);
+            }
+            _ => {
+                self.go_to(volume, None);
+                self.takes_folder = true;
+            }
+        }
+        self.wants_focus = true;
     }
 
     fn go_up(&mut self) {
@@ -172,7 +191,7 @@ impl Browser {
                 let hint = format!("the {slices} files of this folder as one volume");
                 if ui.add(all).on_hover_text(hint).clicked() {
                     self.select(None);
-                    self.takes_folder = true;
+                    (self.takes_folder, self.given) = (true, None);
                 }
             }
         });
@@ -192,7 +211,12 @@ impl Browser {
     }
 
     fn select(&mut self, entry: Option<usize>) {
-        if self.selected != entry {
+        let is_given =
+            |number: usize| self.folder.entries.get(number).map(|e| &e.path) == self.given.as_ref();
+        if !entry.is_none_or(is_given) {
+            self.given = None;
+        }
+        if self.selected != entry && self.given.is_none() {
             self.looked_at = None;
         }
         (self.selected, self.scrolls, self.missing_name) = (entry, true, None);
@@ -351,7 +375,7 @@ impl Browser {
 
     /// Enters the selected folder, or returns that the file is to be opened.
     fn enter(&mut self) -> bool {
-        let Some(entry) = self.entry() else { return false };
+        let Some(entry) = self.entry() else { return self.looked_at.is_some() };
         if entry.is_folder && self.opens(entry) != Some(true) {
             let path = entry.path.clone();
             self.go_to(path, None);
@@ -365,7 +389,8 @@ impl Browser {
         let source = match self.entry() {
             Some(entry) if matches!(entry.content, Some(Content::Volume(_))) => Some(entry.path.clone()),
             None if self.takes_folder => Some(self.folder.path.clone()),
-            Some(_) | None => None,
+            Some(entry) if self.given.as_ref() != Some(&entry.path) => None,
+            Some(_) | None => self.given.clone(),
         };
         let Some(source) = source else {
             self.looked_at = None;

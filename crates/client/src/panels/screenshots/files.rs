@@ -52,15 +52,14 @@ pub(super) fn folder_from_text(text: &str) -> PathBuf {
     path_from_text(text).unwrap_or_else(default_folder)
 }
 
-/// The name of a picture of the volume `name`, or of the folder of several, with the time `at`.
-pub(super) fn file_name(name: &str, at: OffsetDateTime, is_folder: bool) -> String {
+/// The name of a file or folder about the volume `name`, with the time `at` and an end.
+pub(super) fn file_name(name: &str, at: OffsetDateTime, end: &str) -> String {
     let stem = name.split('.').next().unwrap_or_default();
     let keeps = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_');
     let stem: String = stem.chars().map(|c| if keeps(c) { c } else { '_' }).take(60).collect();
     let stem = if stem.is_empty() { "volume" } else { &stem };
     let (year, month, day) = at.to_calendar_date();
     let (hour, minute, second) = at.to_hms();
-    let end = if is_folder { "-turntable" } else { ".png" };
     let month = u8::from(month);
     format!("{stem}-{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}{end}")
 }
@@ -75,10 +74,10 @@ mod tests {
     #[test]
     fn files_are_called_by_volume_and_time() {
         let at = OffsetDateTime::from_unix_timestamp(951_782_400).unwrap();
-        assert_eq!(file_name("my head.nii.gz", at, false), "my_head-20000229-000000.png");
-        assert_eq!(file_name("../../etc", at, true), "volume-20000229-000000-turntable");
+        assert_eq!(file_name("my head.nii.gz", at, ".png"), "my_head-20000229-000000.png");
+        assert_eq!(file_name("../../etc", at, "-turntable"), "volume-20000229-000000-turntable");
         let at = OffsetDateTime::from_unix_timestamp(1_735_689_599).unwrap();
-        assert_eq!(file_name("builtin:shells", at, false), "builtin_shells-20241231-235959.png");
+        assert_eq!(file_name("builtin:shells", at, ".png"), "builtin_shells-20241231-235959.png");
     }
 
     #[test]

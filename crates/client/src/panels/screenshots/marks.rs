@@ -98,7 +98,7 @@ impl PictureMarks {
 
     fn draw_on(&self, size: [u32; 2], pixels: &mut [u8]) {
         let [width, height] = size.map(|side| side as usize);
-        let mut canvas = Canvas { width, height, pixels };
+        let mut canvas = Raster { width, height, pixels };
         let ink = if self.is_dark { [225; 3] } else { [25; 3] };
         let halo = if self.is_dark { [8; 3] } else { [248; 3] };
         let points = |points: f32| (points * self.unit).round() as isize;
@@ -173,13 +173,13 @@ impl Stamp {
 }
 
 /// A picture with straight opacity.
-struct Canvas<'a> {
+struct Raster<'a> {
     width: usize,
     height: usize,
     pixels: &'a mut [u8],
 }
 
-impl Canvas<'_> {
+impl Raster<'_> {
     /// Fills a rectangle: left, top, width, height.
     fn fill(&mut self, [left, top, width, height]: [isize; 4], color: [u8; 3]) {
         for y in top..top + height {

@@ -1,9 +1,10 @@
-//! The editor of the transfer function: the curve over the histogram, and the rows below it.
+//! The editor of the transfer function: the curve over the histogram, the list of surfaces, and the rows below.
 
 mod curve;
 mod history;
 mod plot;
 mod stops;
+mod surfaces;
 #[cfg(test)]
 mod tests;
 
@@ -12,7 +13,7 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use egui::{RichText, Ui, vec2};
-use isinglass_core::mode::Iso;
+use isinglass_core::mode::Isos;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction};
 use isinglass_formats::{ColorMap, ImportedTransfer, import_transfers, transfer_to_toml};
 
@@ -178,12 +179,22 @@ impl TransferEditor {
             || (self.preset.name == transfer.name && self.preset.domain != transfer.domain)
     }
 
-    /// Shows the editor. `presets` are offered. Each value of `surfaces` is a line in the histogram.
-    pub(crate) fn show(&mut self, ui: &mut Ui, scale: &ValueScale, presets: &[&str], surfaces: &[Iso]) {
-        self.surfaces = surfaces.iter().map(|iso| iso.value).collect();
+    /// Shows the editor. `presets` are offered. Each of the `isos` is a line in the histogram, and rows below it.
+    pub(crate) fn show(
+        &mut self,
+        ui: &mut Ui,
+        scale: &ValueScale,
+        presets: &[&str],
+        isos: Option<&mut Isos>,
+    ) {
+        let shown = isos.as_deref().map(|isos| scale.shown_surfaces(*isos)).unwrap_or_default();
+        self.surfaces = shown.as_slice().iter().map(|iso| iso.value).collect();
         ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
         self.presets_row(ui, scale, presets);
         self.plot(ui, scale);
+        if let Some(isos) = isos {
+            surfaces::show(ui, isos, scale);
+        }
         self.point_row(ui);
         self.window_row(ui, scale);
         self.shift_row(ui, scale);

@@ -14,7 +14,8 @@ struct Bench {
     scale: ValueScale,
     edits: usize,
     shaded: Option<bool>,
-    isos: isinglass_core::mode::Isos,
+    /// In the mode of surfaces.
+    isos: Option<Isos>,
 }
 
 fn harness(name: &str) -> Harness<'static, Bench> {
@@ -31,18 +32,11 @@ fn harness(name: &str) -> Harness<'static, Bench> {
         histogram: (0..256).map(|i| 10_000 / (1 + i)).collect(),
     });
     let given = preset(name).unwrap();
-    let bench = Bench {
-        editor: TransferEditor::default(),
-        given,
-        scale,
-        edits: 0,
-        shaded: None,
-        isos: Default::default(),
-    };
+    let bench = Bench { editor: TransferEditor::default(), given, scale, edits: 0, shaded: None, isos: None };
     let show = |ui: &mut Ui, bench: &mut Bench| {
         bench.editor.follow(&bench.given, &bench.scale);
         let presets: Vec<_> = isinglass_formats::preset_names().collect();
-        bench.editor.show(ui, &bench.scale, &presets, bench.isos.as_slice());
+        bench.editor.show(ui, &bench.scale, &presets, bench.isos.as_mut());
         let edit = bench.editor.take_edit(ui.ctx());
         bench.shaded = edit.shaded.or(bench.shaded);
         if let Some(transfer) = edit.transfer {
@@ -358,8 +352,22 @@ fn surfaces_are_lines_in_the_histogram() {
     let mut h = harness("ct");
     h.run();
     assert!(h.query_by_label_contains("line of surface").is_none());
-    h.state_mut().isos = "300, 1200:0.5".parse().unwrap();
+    assert!(h.query_by_label("add a surface").is_none(), "the list is of one mode only");
+    // Where nobody has chosen a surface, the list and the line show the server's, and looking at it chooses nothing.
+    h.state_mut().isos = Some(Isos::default());
     h.run();
+    assert!(h.query_by_label("value of surface 1").is_some());
+    assert!(h.query_by_label_contains("line of surface 1 at").is_some());
+    assert_eq!(h.state().isos, Some(Isos::default()));
+    click(&mut h, "add a surface");
+    assert_eq!(h.state().isos.unwrap().as_slice().len(), 2);
+    h.state_mut().isos = Some("300, 1200:0.5".parse().unwrap());
+    h.run();
+    // The list stands below the curve, and above what is of the curve alone.
+    let y = |name: &str| h.get_by_label(name).rect().center().y;
+    let order =
+        ["opacity over values", "value of surface 1", "value of surface 2", "add a surface", "undo"].map(y);
+    assert!(order.is_sorted(), "{order:?}");
     let x = |h: &Harness<'_, Bench>, name: &str| h.get_by_label_contains(name).rect().center().x;
     assert!(x(&h, "line of surface 1 at 300") < x(&h, "line of surface 2 at"));
 }

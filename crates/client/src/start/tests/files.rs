@@ -74,6 +74,40 @@ fn ctrl_o_opens_volumes_from_the_list_beside_the_picture() {
     assert!(!stage.has("Open a file") && is_shown(&stage.window));
 }
 
+/// A volume that was chosen by the system's dialog comes to the same page as one that was chosen in the list.
+#[test]
+fn a_chosen_file_tells_its_size_before_it_is_read() {
+    let mut stage = Stage::new(Servers::default(), |folder| {
+        std::fs::copy(folder.join("data/film.nrrd"), folder.join("data/.hidden.nrrd")).unwrap();
+        Recent::default()
+    });
+    let num_started = |stage: &Stage| stage.servers.started.lock().unwrap().len();
+    // On the page, and then beside the picture; a name with a dot is not in the list.
+    for (number, name) in ["film.nrrd", "inner/small.nrrd", ".hidden.nrrd"].into_iter().enumerate() {
+        let path = stage.folder.path().join("data").join(name);
+        stage.window.state_mut().look_at(Act::Open, vec![path]);
+        stage.window.run_steps(2);
+        until(&mut stage.window, "its size", |w| w.query_by_label_contains("of memory").is_some());
+        wait_for_kinds(&mut stage.window);
+        assert!(stage.has("Open a file") && stage.has("of memory") && num_started(&stage) == number);
+        press(&mut stage.window, Key::Enter);
+        until(&mut stage.window, "the volume", |w| is_shown(w) && w.state().opening.is_none());
+        assert_eq!(num_started(&stage), number + 1, "{name}");
+        assert!(!stage.has("Open a file"));
+    }
+    // Another entry of the list takes its place. A folder says what is wrong with it as one volume.
+    let data = stage.folder.path().join("data");
+    stage.window.state_mut().look_at(Act::Open, vec![data.join(".hidden.nrrd")]);
+    until(&mut stage.window, "its size", |w| w.query_by_label_contains("of memory").is_some());
+    wait_for_kinds(&mut stage.window);
+    stage.window.get_by_label("noise.bin").click();
+    stage.window.run_steps(3);
+    assert!(!stage.has("of memory"));
+    stage.window.state_mut().look_at(Act::Open, vec![data.join("inner")]);
+    until(&mut stage.window, "the folder", |w| w.query_by_label("small.nrrd").is_some());
+    assert_eq!(num_started(&stage), 3);
+}
+
 #[test]
 fn a_written_folder_is_shown_and_files_that_come_later_are_listed() {
     let mut stage = Stage::new(Servers::default(), |_| Recent::default());

@@ -168,6 +168,46 @@ fn a_source_that_is_forgotten_leaves_no_picture() {
 }
 
 #[test]
+fn pictures_that_no_entry_has_any_more_are_deleted_at_the_start() {
+    let place = RecentPlace::Server { host: "far".into(), port: 4433 };
+    let kept = entry(place.clone(), "kept");
+    let before = Recent { folder: None, entries: vec![kept] };
+    let names = ["0123456789abcdef.png", "fedcba9876543210.png", "0123456789abcdef.txt", "x.png"];
+    for (list, is_swept) in [(before.to_toml(), true), ("no list".to_owned(), false)] {
+        let folder = TempDir::new().unwrap();
+        let pictures = folder.path().join("pictures");
+        std::fs::create_dir_all(&pictures).unwrap();
+        let recent = folder.path().join("recent.toml");
+        std::fs::write(&recent, list).unwrap();
+        let own = pictures::name_of(&place);
+        for name in names.iter().copied().chain([&own[..]]) {
+            let file = std::fs::File::create(pictures.join(name)).unwrap();
+            // The second is of a window that has yet to write its entry.
+            if name != names[1] {
+                file.set_modified(std::time::SystemTime::now() - Duration::from_secs(7200)).unwrap();
+            }
+        }
+        let ctx = egui::Context::default();
+        let mut pictures_of_window = Pictures::new(Some(&recent));
+        pictures_of_window.sweep(&[]);
+        pictures_of_window.go_on(&ctx);
+        pictures_of_window.finish();
+        let left = |name: &str| pictures.join(name).exists();
+        assert_eq!(left(names[0]), !is_swept);
+        assert!(names[1..].iter().all(|name| left(name)) && left(&own));
+    }
+    // The window does so when its list is read.
+    let mut stage = Stage::new(Servers::default(), |folder| {
+        std::fs::create_dir_all(folder.join("pictures")).unwrap();
+        let file = std::fs::File::create(folder.join("pictures").join(names[0])).unwrap();
+        file.set_modified(std::time::SystemTime::now() - Duration::from_secs(7200)).unwrap();
+        before
+    });
+    let old = stage.folder.path().join("pictures").join(names[0]);
+    until(&mut stage.window, "no picture", |_| !old.exists());
+}
+
+#[test]
 fn what_goes_wrong_is_told_where_it_was_begun() {
     let (check, gate) = sync_channel(1);
     let servers = Servers { check_gate: Some(Mutex::new(gate)), ..Servers::default() };

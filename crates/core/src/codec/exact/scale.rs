@@ -13,7 +13,7 @@
 use std::sync::LazyLock;
 
 use super::super::portable_math::exp_neg;
-use crate::layer::{TAU_MAX, pack_halves, unpack_halves};
+use crate::layer::{COLOR_MAX, TAU_MAX, pack_halves, unpack_halves};
 
 /// The tables. `color` and `tau` are decoded values, rounded to half floats.
 pub(super) struct Scale {
@@ -182,8 +182,6 @@ fn value(half: u16) -> f32 {
 
 /// Greatest code of a colour channel.
 pub(super) const MAX_COLOR_CODE: u16 = 1023;
-/// Greatest colour. Shading can lift a colour a little above one.
-pub(super) const COLOR_MAX: f32 = 1.25;
 /// Guards the division by the opacity of an empty segment.
 const LEAST_SQRT_ALPHA: f64 = 1e-4;
 /// Number of low bits of a float that the first guess at a code of τ ignores: 32 guesses an octave.

@@ -7,12 +7,14 @@
 
 use glam::Vec3;
 
+use super::glossy::{PointLight, VoxelRay};
 use super::grid::Lanes;
-use super::{Advance, Lattice, Marcher, Scene, Sink, Step, TAU_MIN, Texels, lookup};
+use super::surfaces::sheets;
+use super::{Advance, Lattice, MarchSettings, Marcher, Scene, Sink, Step, TAU_MIN, Texels, lookup};
 use crate::kernels::raycast::opacity;
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
-use crate::volume::{Bricks, Histogram, LIT_MAX, Occupancy, Volume};
+use crate::volume::{Bricks, Histogram, Illumination, Lighting, Matter, Occlusion, Occupancy, Volume};
 
 /// A surface of one value, as the march finds it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,6 +27,24 @@ pub struct Surface {
     pub color: Vec3,
     /// Optical depth of a crossing.
     pub tau: f32,
+}
+
+/// The brightness of the voxels. See [`Illumination::of`] for `before`.
+pub(super) fn illuminate(
+    volume: &Volume,
+    table: &TransferTable,
+    surfaces: &[Surface],
+    settings: MarchSettings,
+    before: Option<(&Illumination, Option<&Occlusion>)>,
+) -> Illumination {
+    let MarchSettings { mut shading, mut lighting, detail, clip, mode, .. } = settings;
+    if mode.is_projection() {
+        (shading, lighting) = (None, Lighting::default());
+    }
+    let region = clip.region(&volume.bounds());
+    let sheets = sheets(surfaces);
+    let matter = if mode == Mode::Iso { Matter::Surfaces(&sheets) } else { Matter::Medium(table) };
+    Illumination::of(volume, table, matter, shading, &region, lighting, detail, before)
 }
 
 /// The surfaces by ascending position; by default the value that splits the histogram best.
@@ -169,12 +189,12 @@ impl<T: Texels> Marcher<'_, T> {
     pub(super) fn take<const MODE: u8>(
         &self,
         &SamplePair { x0, x1, s0, s1 }: &SamplePair,
-        brightness: f32,
-        (origin, dir): (Vec3, Vec3),
+        light: PointLight,
+        ray: &VoxelRay,
         sink: &mut impl Sink,
     ) -> Option<Advance> {
         if MODE == SURFACES {
-            return self.cross(&SamplePair { x0, x1, s0, s1 }, origin, dir, sink);
+            return self.cross(&SamplePair { x0, x1, s0, s1 }, ray, sink);
         }
         if MODE == GREATEST {
             return Some(sink.step(Values::between(x0, x1).step(s0, s1)));
@@ -194,12 +214,12 @@ impl<T: Texels> Marcher<'_, T> {
             return None;
         }
         let alpha = opacity(tau);
-        Some(sink.step(Step { s0, s1, c: color * (brightness * alpha), tau, alpha }))
+        Some(sink.step(Step { s0, s1, c: self.sent(color, alpha, light), tau, alpha }))
     }
 
     /// Hands on the surfaces between two samples. A step into greater values begins at the crossing, and one into
     /// lesser values ends there; [`super::surfaces`] makes segments of them.
-    fn cross(&self, ends: &SamplePair, origin: Vec3, dir: Vec3, sink: &mut impl Sink) -> Option<Advance> {
+    fn cross(&self, ends: &SamplePair, ray: &VoxelRay, sink: &mut impl Sink) -> Option<Advance> {
         let mut pace = None;
         let to_greater = ends.x1 > ends.x0;
         let num = self.scene.surfaces.len();
@@ -216,7 +236,7 @@ impl<T: Texels> Marcher<'_, T> {
             };
             let mut s = chord(a, b);
             for _ in 0..REFINEMENTS {
-                let x = self.domain::<SURFACES>(self.voxels.sample(origin + dir * s));
+                let x = self.domain::<SURFACES>(self.voxels.sample(ray.origin + ray.dir * s));
                 if (x < surface.x) == (ends.x0 < surface.x) {
                     a = (s, x);
                 } else {
@@ -226,11 +246,8 @@ impl<T: Texels> Marcher<'_, T> {
             }
             s = s.max(last);
             last = s;
-            let brightness = self.lit.as_ref().map_or(1.0, |(lit, shading)| {
-                shading.ambient + shading.diffuse * (lit.sample(origin + dir * s) * (1.0 / LIT_MAX))
-            });
             let alpha = opacity(surface.tau);
-            let c = surface.color * (brightness * alpha);
+            let c = self.sent(surface.color, alpha, self.light_at(ray, s));
             let s1 = if to_greater { f32::INFINITY } else { f32::NEG_INFINITY };
             let next = sink.step(Step { s0: s, s1, c, tau: surface.tau, alpha });
             pace = Some(next);

@@ -1,16 +1,16 @@
 //! The values and opacities of surfaces.
 
 use egui::{SliderClamping, Ui};
-use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Isos, MAX_ISOS};
 
-use super::controls::{self, named_number};
-use super::text::format_in;
-use super::value_scale::ValueScale;
+use super::super::controls::{self, named_number};
+use super::super::text::format_in;
+use super::super::value_scale::ValueScale;
 
 /// A line for each surface, and a button that adds one.
-pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
-    let mut isos = look.isos.as_slice().to_vec();
+pub(super) fn show(ui: &mut Ui, surfaces: &mut Isos, scale: &ValueScale) {
+    let shown = scale.shown_surfaces(*surfaces);
+    let mut isos = shown.as_slice().to_vec();
     let mut removed = None;
     let (lo, hi) = scale.range;
     let num = isos.len();
@@ -51,8 +51,10 @@ pub(crate) fn show(ui: &mut Ui, look: &mut Look, scale: &ValueScale) {
     if add.clicked() {
         isos.push(another(&isos, scale.range));
     }
-    // Numbers from elsewhere may be invalid.
-    look.isos = Isos::new(&isos).unwrap_or(look.isos);
+    if isos != shown.as_slice() {
+        // Numbers from elsewhere may be invalid.
+        *surfaces = Isos::new(&isos).unwrap_or(*surfaces);
+    }
 }
 
 /// A new surface beside others, which stay. It is translucent and encloses the outermost opaque one. Without an
