@@ -8,7 +8,7 @@ use quinn::{AckFrequencyConfig, IdleTimeout, TransportConfig, VarInt};
 
 use isinglass_core::wire::POSE_BYTES;
 
-use crate::congestion::DelayConfig;
+use crate::congestion::ViewerWindow;
 
 /// A side leaves by its own choice.
 pub(crate) const CLOSE_BYE: VarInt = VarInt::from_u32(0);
@@ -31,11 +31,12 @@ pub(crate) const STOP_UNUSABLE: VarInt = VarInt::from_u32(2);
 
 /// Time limit for the handshake, and another for the hello up to the welcome.
 pub(crate) const AUTH_DEADLINE: Duration = Duration::from_secs(5);
-/// A client gives up a silent connection after this time. Keep-alives are answered every [`KEEP_ALIVE`].
+/// A server gives up a silent connection after this time. Clients send a packet every [`KEEP_ALIVE`].
 pub(crate) const SILENCE_LIMIT: Duration = Duration::from_secs(8);
 /// So short that a viewer notices a dead server within two seconds.
 const KEEP_ALIVE: Duration = Duration::from_millis(500);
-const IDLE_MILLIS: u32 = 30_000;
+/// Long, because a client tries its old connection as long as it has no other.
+const IDLE_MILLIS: u32 = 120_000;
 
 /// Settings of both sides.
 fn common(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConfig {
@@ -64,7 +65,7 @@ pub(crate) fn server(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> Tr
 
 /// The client accepts frames. At 60 frames a second, 16 chunks each and a round trip of 300 ms, 300 streams are open.
 pub(crate) fn client() -> TransportConfig {
-    let mut t = common(Arc::new(DelayConfig::default()));
+    let mut t = common(Arc::new(ViewerWindow));
     t.max_concurrent_bidi_streams(0u32.into())
         .max_concurrent_uni_streams(1024u32.into())
         .stream_receive_window((32u32 << 20).into())

@@ -40,6 +40,8 @@ pub(super) struct Control {
     caution: f64,
     /// The factor by which the window grows while it is used and nothing queues.
     growth: f64,
+    /// Number of round trips in a row in which the window was used and nothing queued.
+    num_free: u32,
     round: Round,
     /// Since when the queue is longer than this side makes it, µs.
     queued_since: Option<f64>,
@@ -69,6 +71,7 @@ struct Competing {
     window: f64,
     /// Since when the queue is short, µs.
     short_since: Option<f64>,
+    has_lost: bool,
 }
 
 impl Control {
@@ -85,6 +88,7 @@ impl Control {
             start_window: first_window.clamp(FEWEST_PACKETS * mtu, MAX_WINDOW),
             caution: 1.0,
             growth: 1.0,
+            num_free: 0,
             round: Round::begin(now),
             queued_since: None,
             competing: None,
@@ -109,7 +113,8 @@ impl Control {
     pub(super) fn bytes_per_second(&self) -> Option<f64> {
         let rtt = self.smooth_rtt.max(1000.0);
         let known = match (self.competing, self.rate) {
-            (Some(other), _) => other.window / rtt,
+            // A window that the application never fills does not grow.
+            (Some(other), _) => OFFERED * other.window / rtt,
             (None, Some(rate)) => rate * self.caution,
             (None, None) => self.start_window * self.caution / rtt,
         };
@@ -204,8 +209,11 @@ impl Control {
         if let Some(other) = &mut self.competing {
             if round.lost > 0.0 || round.is_marked {
                 other.window *= AFTER_LOSS;
-            } else if round.is_used {
+                other.has_lost = true;
+            } else if round.is_used && other.has_lost {
                 other.window += PACKETS_A_ROUND * self.mtu;
+            } else if round.is_used {
+                other.window *= BEFORE_LOSS;
             }
             other.window = other.window.clamp(FEWEST_PACKETS * self.mtu, MAX_WINDOW);
         } else if queue > 1.5 * QUEUE_MICROS || round.is_marked {
@@ -214,7 +222,13 @@ impl Control {
             self.caution *= 0.85;
         } else {
             let is_free = self.caution >= 1.0 && round.is_used && queue < QUEUE_MICROS / 3.0;
-            self.growth = if is_free { (self.growth * 1.25).min(2.0) } else { 1.0 };
+            // After a drain the queue is empty for a while, too.
+            self.num_free = if is_free { self.num_free + 1 } else { 0 };
+            match self.num_free {
+                0 => self.growth = 1.0,
+                1..=FEW_FREE => {}
+                _ => self.growth = (self.growth * 1.25).min(2.0),
+            }
             self.caution = (self.caution + 0.05).min(1.0);
         }
         self.caution = self.caution.max(LEAST_CAUTION);
@@ -233,7 +247,7 @@ impl Control {
                 let since = *self.queued_since.get_or_insert(now);
                 if now - since > PATIENCE_MICROS.max(4.0 * self.smooth_rtt) {
                     let window = self.rate.unwrap_or(0.0) * self.smooth_rtt;
-                    self.competing = Some(Competing { window, short_since: None });
+                    self.competing = Some(Competing { window, short_since: None, has_lost: false });
                     self.caution = 1.0;
                     return ControlFlow::Break(());
                 }
@@ -389,8 +403,10 @@ const LEAST_CAUTION: f64 = 0.3;
 /// How long a queue must stay, or be gone, until another flow is held responsible.
 const PATIENCE_MICROS: f64 = 400e3;
 /// The competition is that of a loss-based flow, somewhat bolder than NewReno.
-const AFTER_LOSS: f64 = 0.75;
-const PACKETS_A_ROUND: f64 = 3.0;
+const AFTER_LOSS: f64 = 0.8;
+const PACKETS_A_ROUND: f64 = 12.0;
+const BEFORE_LOSS: f64 = 1.2;
+const OFFERED: f64 = 1.12;
 /// Share of the path's content that stays while it is drained.
 const DRAINING: f64 = 0.6;
 const LEAST_FOR_MICROS: f64 = 10e6;
@@ -398,6 +414,7 @@ const NEAR_LEAST_MICROS: f64 = 8e3;
 const FEWEST_BUSY_MICROS: f64 = 6e3;
 const FLOOR_MICROS: f64 = 20e3;
 const FEWEST_BATCHES: u32 = 3;
+const FEW_FREE: u32 = 2;
 const FEWEST_PACKETS: f64 = 4.0;
 /// Loss is that of about so many packets.
 const RECENT_PACKETS: f64 = 800.0;

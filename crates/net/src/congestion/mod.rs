@@ -18,7 +18,6 @@ use control::{Batch, Control};
 /// What the congestion control of one connection knows. Its numbers are of the newest acknowledgement.
 #[derive(Debug, Default)]
 pub(crate) struct LinkGauge {
-    window_bytes: AtomicU64,
     /// 0 if unknown.
     bytes_per_second: AtomicU64,
     least_rtt_micros: AtomicU64,
@@ -30,11 +29,6 @@ pub(crate) struct LinkGauge {
 }
 
 impl LinkGauge {
-    /// Bytes that may be in flight.
-    pub(crate) fn window_bytes(&self) -> u64 {
-        self.window_bytes.load(Ordering::Relaxed) + self.extra_bytes.load(Ordering::Relaxed)
-    }
-
     /// Rate of the path; `None` if it is unknown.
     pub(crate) fn bytes_per_second(&self) -> Option<f64> {
         let rate = self.bytes_per_second.load(Ordering::Relaxed);
@@ -108,7 +102,6 @@ impl DelayController {
 
     fn publish(&self) {
         let gauge = &self.config.gauge;
-        gauge.window_bytes.store(self.control.window() as u64, Ordering::Relaxed);
         let rate = self.control.bytes_per_second().unwrap_or(0.0);
         gauge.bytes_per_second.store(rate as u64, Ordering::Relaxed);
         gauge.knows_rate.store(self.control.knows_rate(), Ordering::Relaxed);
@@ -166,6 +159,41 @@ impl Controller for DelayController {
     }
 }
 
+/// The congestion control of a viewer: a constant window. A viewer sends poses at a bounded rate and hardly anything
+/// else, and they must go on while nothing is acknowledged, so that the server hears when the link is back.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ViewerWindow;
+
+impl ControllerFactory for ViewerWindow {
+    fn build(self: Arc<Self>, _: Instant, _: u16) -> Box<dyn Controller> {
+        Box::new(Self)
+    }
+}
+
+impl Controller for ViewerWindow {
+    fn on_congestion_event(&mut self, _: Instant, _: Instant, _: bool, _: u64) {}
+
+    fn on_mtu_update(&mut self, _: u16) {}
+
+    fn window(&self) -> u64 {
+        VIEWER_WINDOW_BYTES
+    }
+
+    fn clone_box(&self) -> Box<dyn Controller> {
+        Box::new(*self)
+    }
+
+    fn initial_window(&self) -> u64 {
+        VIEWER_WINDOW_BYTES
+    }
+
+    fn into_any(self: Box<Self>) -> Box<dyn Any> {
+        self
+    }
+}
+
+/// Poses of two minutes.
+const VIEWER_WINDOW_BYTES: u64 = 1 << 20;
 /// 32 packets: what a slow link delivers in some tens of milliseconds.
 const FIRST_WINDOW_BYTES: u64 = 32 * 1200;
 const EXTRA_BYTES: u64 = 16 * 1200;

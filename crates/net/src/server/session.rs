@@ -12,6 +12,7 @@ use isinglass_core::wire::Refusal;
 use isinglass_core::wire::control::one_line;
 use quinn::{Connection, RecvStream, SendStream};
 use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
 use tracing::Instrument;
 
 use super::frames::{FrameSender, Pace};
@@ -167,7 +168,12 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
 }
 
 async fn read_poses(link: &ViewerLink, clock: &Clock, heard: &watch::Sender<()>) {
+    let mut heard_at = Instant::now();
     while let Ok(bytes) = link.connection.read_datagram().await {
+        if heard_at.elapsed() > OUTAGE {
+            link.gauge.handle_heard_again();
+        }
+        heard_at = Instant::now();
         let handled = link.talk.lock_quietly().handle_datagram(clock.now_micros(), &bytes);
         match handled {
             Ok(true) => heard.send_replace(()),
@@ -228,3 +234,6 @@ async fn write_messages(link: &ViewerLink, clock: &Clock, stream: &mut SendStrea
         }
     }
 }
+
+/// A pause between poses after which the link may have been dead. A viewer repeats its pose more often.
+const OUTAGE: Duration = Duration::from_millis(300);

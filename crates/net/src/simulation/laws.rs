@@ -1,11 +1,13 @@
 //! What frames do on each link.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use quinn::congestion::CubicConfig;
 
 use super::*;
+use crate::identity::{SERVER_NAME, pinned_tls};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -97,6 +99,107 @@ fn frames_are_as_old_as_the_link_makes_them() {
     for (mbit, rtt_ms, loss) in [(20.0, 40, 0.0), (50.0, 150, 0.02)] {
         let run = Run::of(link_model(mbit, rtt_ms, loss), Some(Arc::new(CubicConfig::default())));
         assert!(run.age_ms[1] > 1.5 * run.bound_ms && run.frames_per_second < 40.0, "{run:?}");
+    }
+}
+
+/// A bulk transfer with CUBIC from the server's machine; returns the number of bytes that have arrived, for ever.
+async fn bulk(network: Network) -> Arc<AtomicU64> {
+    let [from, to]: [SocketAddr; 2] = [([10, 0, 0, 1], 9000).into(), ([10, 0, 1, 1], 9000).into()];
+    let mut transport = quinn::TransportConfig::default();
+    transport
+        .congestion_controller_factory(Arc::new(CubicConfig::default()))
+        .receive_window((16u32 << 20).into())
+        .stream_receive_window((16u32 << 20).into());
+    let transport = Arc::new(transport);
+    let identity = Identity::generate().expect("random numbers");
+    let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls().expect("TLS")));
+    config.transport_config(transport.clone());
+    let runtime = Arc::new(TokioRuntime);
+    let server =
+        Endpoint::new_with_abstract_socket(seeded(91), Some(config), network.socket(from), runtime.clone());
+    let client = Endpoint::new_with_abstract_socket(seeded(92), None, network.socket(to), runtime);
+    let (server, client) = (server.expect("a socket"), client.expect("a socket"));
+    let (tls, _) = pinned_tls(identity.fingerprint()).expect("TLS");
+    let mut config = quinn::ClientConfig::new(Arc::new(tls));
+    config.transport_config(transport);
+    let connecting = client.connect_with(config, from, SERVER_NAME).expect("an address");
+    let accepted = async { server.accept().await.expect("a connection").await };
+    let (sending, receiving) = tokio::join!(accepted, connecting);
+    let (sending, receiving) = (sending.expect("a connection"), receiving.expect("a connection"));
+    let arrived = Arc::<AtomicU64>::default();
+    let counted = arrived.clone();
+    tokio::spawn(async move {
+        let mut stream = sending.open_uni().await.expect("a stream");
+        while stream.write_all(&[0; 16_384]).await.is_ok() {}
+        drop(server);
+    });
+    tokio::spawn(async move {
+        let mut stream = receiving.accept_uni().await.expect("a stream");
+        while let Ok(Some(part)) = stream.read_chunk(usize::MAX, false).await {
+            counted.fetch_add(part.bytes.len() as u64, Ordering::Relaxed);
+        }
+        drop(client);
+    });
+    arrived
+}
+
+#[test]
+fn neither_starves_beside_a_bulk_transfer() {
+    let (shown, traffic, bulk) = in_virtual_time(async {
+        let mut world = World::new(&link_model(20.0, 40, 0.0), None);
+        let links = world.serve(1, Renderer::default());
+        let arrived = bulk(world.network.clone()).await;
+        let client = world.viewer(&links[0]);
+        let shown = model::view(client, 30 * SECOND, Duration::ZERO).await;
+        (shown, world.network.traffic(), arrived.load(Ordering::Relaxed))
+    });
+    let mbit = |bytes: u64| bytes as f64 * 8.0 / 30e6;
+    let (ours, fps) = (mbit(shown.bytes), shown.frames_per_second(5e3, 30e3));
+    println!(
+        "{ours:.1} of 20 Mbit/s, {fps:.0} frames/s, age {:.0}/{:.0} ms; bulk {:.1} Mbit/s, {} dropped",
+        shown.age(0.5, 5e3, 30e3),
+        shown.age(0.99, 5e3, 30e3),
+        mbit(bulk),
+        traffic.dropped
+    );
+    assert!(ours >= 6.0 && fps >= 30.0, "{ours} Mbit/s, {fps} frames a second");
+    assert!(mbit(bulk) >= 4.0, "the other has {} Mbit/s", mbit(bulk));
+}
+
+/// Time from the link's return to the first newer picture, ms.
+fn recovery_ms(outage: Duration, model: &LinkModel) -> f64 {
+    in_virtual_time(async {
+        let mut world = World::new(model, None);
+        let links = world.serve(1, Renderer::default());
+        let client = world.viewer(&links[0]);
+        let network = world.network.clone();
+        let begun = 6 * SECOND;
+        tokio::spawn(async move {
+            tokio::time::sleep(begun).await;
+            network.set_dark(true);
+            tokio::time::sleep(outage).await;
+            network.set_dark(false);
+        });
+        let shown = model::view(client, begun + outage + 4 * SECOND, Duration::ZERO).await;
+        let back_ms = (begun + outage).as_secs_f64() * 1e3;
+        let next = shown.frames.iter().find(|(at, _)| *at > back_ms);
+        let settled = shown.frames_per_second(back_ms + 2e3, back_ms + 4e3);
+        assert!(settled > 50.0, "{settled} frames a second after an outage of {outage:?}");
+        next.map_or(f64::INFINITY, |(at, _)| at - back_ms)
+    })
+}
+
+#[test]
+fn frames_come_back_soon_after_an_outage() {
+    for outage_ms in [500, 2000, 5000, 30_000] {
+        let ms = recovery_ms(Duration::from_millis(outage_ms), &link_model(20.0, 40, 0.0));
+        println!("{outage_ms} ms: {ms:.0} ms");
+        // Two round trips, and what a viewer that repeats its pose needs. After the longest the server has given the
+        // place up, and the viewer connects again.
+        assert!(
+            ms <= if outage_ms < 8000 { 230.0 } else { 1500.0 },
+            "{ms} ms after an outage of {outage_ms} ms"
+        );
     }
 }
 

@@ -16,7 +16,7 @@ use tokio::time::{Instant, Sleep};
 
 use crate::conditioner::{Direction, Fate, LinkModel};
 
-/// All packets from the server share one direction of the link, and all packets to it the other.
+/// All packets from the server's machine share one direction of the link, and all packets to it the other.
 #[derive(Clone, Debug)]
 pub(super) struct Network(Arc<Mutex<Inner>>);
 
@@ -107,11 +107,6 @@ impl Network {
         self.lock().traffic.clone()
     }
 
-    /// Forgets the traffic so far.
-    pub(super) fn restart_traffic(&self) {
-        self.lock().traffic = Traffic::default();
-    }
-
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -125,7 +120,7 @@ impl Inner {
     fn send(&mut self, number: usize, transmit: &Transmit<'_>) {
         let now = self.now();
         let (from, bytes) = (self.inboxes[number].0, transmit.contents.len());
-        let is_down = from == self.server;
+        let is_down = from.ip() == self.server.ip();
         let direction = if is_down { &mut self.down } else { &mut self.up };
         let queued = direction.queue_micros(now);
         let fate = direction.offer(now, bytes);
