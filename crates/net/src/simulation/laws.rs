@@ -203,6 +203,60 @@ fn frames_come_back_soon_after_an_outage() {
     }
 }
 
+/// One viewer while the network changes after six seconds.
+fn while_changing(model: &LinkModel, change: impl FnOnce(&Network) + Send + 'static) -> Shown {
+    in_virtual_time(async {
+        let mut world = World::new(model, None);
+        let links = world.serve(1, Renderer::default());
+        let client = world.viewer(&links[0]);
+        let network = world.network.clone();
+        tokio::spawn(async move {
+            tokio::time::sleep(6 * SECOND).await;
+            change(&network);
+        });
+        model::view(client, 12 * SECOND, Duration::ZERO).await
+    })
+}
+
+#[test]
+fn another_address_or_rate_is_followed() {
+    let model = link_model(50.0, 40, 0.0);
+    let moved = while_changing(&model, |network| {
+        network.readdress(viewer_address(1), ([10, 0, 7, 7], 7777).into());
+    });
+    let (worst, settled) = (moved.age(1.0, 6e3, 8e3), moved.age(0.99, 8e3, 12e3));
+    println!("another address: {worst:.0} ms at most, then {settled:.0} ms");
+    assert!(worst < 250.0 && settled < 105.0, "{worst} {settled}");
+    let narrow = link_model(10.0, 40, 0.0);
+    let stepped = while_changing(&model, move |network| network.set_model(&narrow));
+    let (worst, settled) = (stepped.age(1.0, 6e3, 8e3), stepped.age(0.99, 8e3, 12e3));
+    println!("from 50 to 10 Mbit/s: {worst:.0} ms at most, then {settled:.0} ms");
+    assert!(worst < 500.0 && settled < 110.0, "{worst} {settled}");
+}
+
+#[test]
+fn viewers_share_a_link_fairly() {
+    let shown = in_virtual_time(async {
+        let mut world = World::new(&link_model(50.0, 40, 0.0), None);
+        let links = world.serve(8, Renderer::default());
+        let clients: Vec<_> = links.iter().map(|link| world.viewer(link)).collect();
+        let viewing = clients.into_iter().map(|c| tokio::spawn(model::view(c, 14 * SECOND, Duration::ZERO)));
+        let mut shown = vec![];
+        for viewer in viewing.collect::<Vec<_>>() {
+            shown.push(viewer.await.expect("a viewer"));
+        }
+        shown
+    });
+    let ages: Vec<f64> = shown.iter().map(|shown| shown.age(0.5, 4e3, 14e3)).collect();
+    let mean = ages.iter().sum::<f64>() / ages.len() as f64;
+    let rates: Vec<f64> = shown.iter().map(|shown| shown.frames_per_second(4e3, 14e3)).collect();
+    println!("ages {ages:.0?} ms, {rates:.0?} frames/s");
+    assert!(
+        ages.iter().all(|age| *age <= 2.0 * mean) && rates.iter().all(|rate| *rate > 20.0),
+        "{ages:?} {rates:?}"
+    );
+}
+
 #[test]
 fn the_same_seed_is_the_same_run() {
     let model = |seed| LinkModel { seed, ..link_model(20.0, 40, 0.01) };
