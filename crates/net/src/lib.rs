@@ -7,11 +7,14 @@
 pub mod client;
 mod clock;
 pub mod conditioner;
+mod congestion;
 mod control_stream;
 pub mod identity;
 mod journal;
 pub mod link;
 pub mod server;
+#[cfg(test)]
+mod simulation;
 mod talk;
 mod transport;
 mod work;

@@ -3,10 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use quinn::congestion::CubicConfig;
+use quinn::congestion::ControllerFactory;
 use quinn::{AckFrequencyConfig, IdleTimeout, TransportConfig, VarInt};
 
 use isinglass_core::wire::POSE_BYTES;
+
+use crate::congestion::ViewerWindow;
 
 /// A side leaves by its own choice.
 pub(crate) const CLOSE_BYE: VarInt = VarInt::from_u32(0);
@@ -22,25 +24,26 @@ pub(crate) const CLOSE_SESSION: VarInt = VarInt::from_u32(4);
 pub(crate) const CLOSE_SILENT: VarInt = VarInt::from_u32(5);
 /// The frame of a stream is superseded.
 pub(crate) const RESET_SUPERSEDED: VarInt = VarInt::from_u32(1);
+/// The client has restored the rest of the stream from its parity.
+pub(crate) const STOP_REPAIRED: VarInt = VarInt::from_u32(3);
 /// The content of a stream is unusable.
 pub(crate) const STOP_UNUSABLE: VarInt = VarInt::from_u32(2);
 
 /// Time limit for the handshake, and another for the hello up to the welcome.
 pub(crate) const AUTH_DEADLINE: Duration = Duration::from_secs(5);
-/// A client gives up a silent connection after this time. Keep-alives are answered every [`KEEP_ALIVE`].
+/// A server gives up a silent connection after this time. Clients send a packet every [`KEEP_ALIVE`].
 pub(crate) const SILENCE_LIMIT: Duration = Duration::from_secs(8);
 /// So short that a viewer notices a dead server within two seconds.
 const KEEP_ALIVE: Duration = Duration::from_millis(500);
-const IDLE_MILLIS: u32 = 30_000;
+/// Long, because a client tries its old connection as long as it has no other.
+const IDLE_MILLIS: u32 = 120_000;
 
-/// Settings of both sides. CUBIC, because quinn's BBR floods narrow links and nobody maintains it.
-fn common() -> TransportConfig {
-    let mut cubic = CubicConfig::default();
-    cubic.initial_window(64 * 1200);
+/// Settings of both sides.
+fn common(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConfig {
     let mut acks = AckFrequencyConfig::default();
     acks.ack_eliciting_threshold(2u32.into()).max_ack_delay(Some(Duration::from_millis(5)));
     let mut t = TransportConfig::default();
-    t.congestion_controller_factory(Arc::new(cubic))
+    t.congestion_controller_factory(congestion)
         .ack_frequency_config(Some(acks))
         .initial_rtt(Duration::from_millis(100))
         .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_MILLIS))));
@@ -48,27 +51,26 @@ fn common() -> TransportConfig {
 }
 
 /// The server accepts one control stream and small datagrams.
-pub(crate) fn server() -> TransportConfig {
-    let mut t = common();
+pub(crate) fn server(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConfig {
+    let mut t = common(congestion);
     t.max_concurrent_bidi_streams(1u32.into())
         .max_concurrent_uni_streams(0u32.into())
         .stream_receive_window((256u32 << 10).into())
         .receive_window((1u32 << 20).into())
         .send_window(64 << 10)
         .datagram_receive_buffer_size(Some(64 << 10))
-        .datagram_send_buffer_size(0);
+        .datagram_send_buffer_size(256 << 10);
     t
 }
 
 /// The client accepts frames. At 60 frames a second, 16 chunks each and a round trip of 300 ms, 300 streams are open.
 pub(crate) fn client() -> TransportConfig {
-    let mut t = common();
+    let mut t = common(Arc::new(ViewerWindow));
     t.max_concurrent_bidi_streams(0u32.into())
         .max_concurrent_uni_streams(1024u32.into())
         .stream_receive_window((32u32 << 20).into())
         .receive_window((64u32 << 20).into())
-        // Servers send no datagrams, but quinn sends none either where it may receive none.
-        .datagram_receive_buffer_size(Some(2 * POSE_BYTES))
+        .datagram_receive_buffer_size(Some(256 << 10))
         // The newest wins: quinn drops the oldest datagrams of a full buffer.
         .datagram_send_buffer_size(2 * POSE_BYTES)
         .keep_alive_interval(Some(KEEP_ALIVE));

@@ -407,18 +407,18 @@ pub enum Rank {
     Finer,
 }
 
-/// Priority of a chunk's stream. The rank decides first. Older frames come first among predicting ones, and newer frames
-/// among others. Within a frame the index decides. The control stream has [`CONTROL_PRIORITY`].
+/// Priority of a frame's stream. The rank decides first. Older frames come first among predicting ones, and newer frames
+/// among others. The control stream has [`CONTROL_PRIORITY`].
 ///
 /// Frame numbers are taken modulo 2²⁵, six days at 60 frames a second, so that ranks never mix.
-pub fn priority(frame: FrameId, index: ChunkIndex, rank: Rank) -> i32 {
+pub fn priority(frame: FrameId, rank: Rank) -> i32 {
     let newer_first = (frame.0 & FRAMES) as i32;
     let (rank, frame) = match rank {
         Rank::Predicting => (2, FRAMES as i32 - newer_first),
         Rank::Independent => (1, newer_first),
         Rank::Finer => (0, newer_first),
     };
-    rank * PER_RANK + (frame << 4) + 14 - i32::from(index.0.min(14))
+    rank * PER_RANK + frame
 }
 
 /// Most frames in reassembly: half a second of predicted frames at 60 Hz, while a lost packet of the first is sent
@@ -445,7 +445,7 @@ pub const CONTROL_PRIORITY: i32 = i32::MAX;
 /// Frame numbers that priorities distinguish.
 const FRAMES: u32 = 0x01ff_ffff;
 /// Number of priorities per rank.
-const PER_RANK: i32 = 1 << 29;
+const PER_RANK: i32 = 1 << 25;
 
 #[cfg(test)]
 mod tests;

@@ -222,13 +222,12 @@ impl FramesServer {
     /// another.
     pub fn choose_coding(
         &mut self,
-        now_micros: u64,
         link: LinkState,
         asked: Asked,
         mode: crate::mode::Mode,
         has_reference: bool,
     ) -> Sending {
-        self.coding.handle_link(now_micros, link);
+        self.coding.handle_link(link);
         self.coding.handle_turned(asked.request.shown_turn_deg.filter(|_| !asked.is_again));
         let is_margin = self.shows_exactly(&asked.header);
         let num_lists = asked.header.camera.intrinsics.num_pixels();
@@ -351,7 +350,7 @@ mod tests {
     use crate::session::pair::look;
 
     const BOUNDS: Aabb = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
-    const LINK: LinkState = LinkState { window_bytes: 1 << 30, rtt_micros: 1000, least_rtt_micros: 1000 };
+    const LINK: LinkState = LinkState { bytes_per_second: 1e12, is_measured: true, least_rtt_micros: 1000 };
 
     fn request(id: u32, azimuth: f32) -> PoseRequest {
         let pose = Pose::orbit(Vec3::ZERO, azimuth, 0.0, 3.0);
@@ -366,7 +365,7 @@ mod tests {
     fn send(frames: &mut FramesServer, looks: &LookServer, now: u64, request: &PoseRequest) -> Sending {
         let asked = frames.begin(now, request, looks, &BOUNDS);
         frames.handle_generated(1000);
-        let sending = frames.choose_coding(now, LINK, asked, Default::default(), false);
+        let sending = frames.choose_coding(LINK, asked, Default::default(), false);
         frames.handle_encoded(&sending, false, 1000, 1000);
         frames.handle_sent(sending.clone());
         sending
@@ -493,16 +492,13 @@ mod tests {
         assert!(FramesServer::is_outdated(&margin, &request(3, 0.0), LookVersion(2)));
         assert!(!FramesServer::is_outdated(&first, &request(3, 0.1), looks.version()), "a usual one is sent");
         // On a slow link a projection goes without its less visible segments first.
-        for (link, is_thinned) in [
-            (LINK, false),
-            (LinkState { window_bytes: 1000, rtt_micros: 100_000, least_rtt_micros: 100_000 }, true),
-        ] {
+        for (link, is_thinned) in [(LINK, false), (LinkState { bytes_per_second: 1e4, ..LINK }, true)] {
             let (mut frames, looks) = of_server();
             let asked = frames.begin(0, &request(1, 0.0), &looks, &BOUNDS);
-            frames.choose_coding(0, link, asked, Mode::Mip, false);
-            let first = frames.choose_coding(20_000_000, link, asked, Mode::Mip, false);
+            frames.choose_coding(link, asked, Mode::Mip, false);
+            let first = frames.choose_coding(link, asked, Mode::Mip, false);
             assert_eq!((first.coding, first.is_thinned), (Coding::Exact, is_thinned));
-            assert!(!frames.choose_coding(20_000_000, link, asked, Mode::Average, false).is_thinned);
+            assert!(!frames.choose_coding(link, asked, Mode::Average, false).is_thinned);
             frames.handle_sent(first);
             let finer = frames.poll_finer(REST_MICROS, &looks);
             assert_eq!(finer.map(|f| (f.is_finer, f.is_thinned)), is_thinned.then_some((true, false)));

@@ -9,6 +9,7 @@
 //! - [`pose`]: the camera of the frames; [`look`]: their look; [`selection`]: the part of the file that they show.
 //! - [`frames`]: which frames are made; [`rate`]: how they are coded; [`schedule`]: when they begin; [`chunks`]: what
 //!   is sent, given up and decoded.
+//! - [`repair`]: restores lost parts of frames.
 //! - [`inquiry`]: a question about the volume. [`probe`], [`profile`]: the value at a point, the values along a line.
 //! - [`screenshot`]: a picture to keep; [`slices`]: slices through the volume.
 //! - [`ledger`]: the life of every frame, on either side.
@@ -31,7 +32,7 @@ pub mod pose;
 pub mod probe;
 pub mod profile;
 pub mod rate;
-mod round_trip;
+pub mod repair;
 pub mod schedule;
 pub mod screenshot;
 pub mod selection;

@@ -3,7 +3,6 @@
 //! While the camera moves, frames in blocks get the quality that the link can carry in a frame's time, up to a limit.
 //! At rest, the same frame goes out again finer, and then exactly.
 
-use super::round_trip::{LeastRtt, is_longer};
 use crate::codec::Coding;
 use crate::codec::blocks::{self, RateControl};
 
@@ -54,31 +53,14 @@ impl CodingPlan {
 }
 
 /// What the transport knows of the link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkState {
-    /// Bytes that may be in flight at the same time.
-    pub window_bytes: u64,
-    /// Current round-trip time, smoothed, µs.
-    pub rtt_micros: u64,
-    /// Least round-trip time so far, µs.
+    /// Rate that the link delivers, bytes per second.
+    pub bytes_per_second: f64,
+    /// Whether that rate is measured. Otherwise it is only what was sent so far.
+    pub is_measured: bool,
+    /// Least round-trip time of the path, µs.
     pub least_rtt_micros: u64,
-}
-
-impl LinkState {
-    /// Rate that this window allows.
-    fn bytes_per_second(&self) -> f64 {
-        self.window_bytes as f64 * 1e6 / self.rtt_micros.max(MIN_RTT_MICROS) as f64
-    }
-
-    /// Time that packets wait in queues, s.
-    fn queue_seconds(&self) -> f64 {
-        self.rtt_micros.saturating_sub(self.least_rtt_micros) as f64 / 1e6
-    }
-
-    /// Whether packets queue, so that the window is all that the link carries.
-    fn is_queueing(&self) -> bool {
-        is_longer(self.rtt_micros, self.least_rtt_micros)
-    }
 }
 
 /// Decides how the frames of one connection are coded.
@@ -89,12 +71,7 @@ impl LinkState {
 pub struct CodingControl {
     plan: CodingPlan,
     control: RateControl,
-    /// Proven rate of the link, bytes per second; `None` before the first queue.
-    ceiling: Option<f64>,
     link: Option<LinkState>,
-    least_rtt: LeastRtt,
-    /// Time of the last link state, µs.
-    looked_at_micros: u64,
     generate_micros: f64,
     /// Time between frames of a moving camera, µs.
     interval_micros: Mean,
@@ -116,10 +93,7 @@ impl CodingControl {
         Self {
             plan,
             control: RateControl::new(usize::MAX),
-            ceiling: None,
             link: None,
-            least_rtt: LeastRtt::default(),
-            looked_at_micros: 0,
             generate_micros: 0.0,
             interval_micros: Mean::default(),
             turned_deg: None,
@@ -152,33 +126,16 @@ impl CodingControl {
         }
     }
 
-    /// Notes the state of the link, on a clock that does not run backwards.
-    pub fn handle_link(&mut self, now_micros: u64, link: LinkState) {
-        let least_rtt_micros = self.least_rtt.handle(now_micros, link.rtt_micros, link.least_rtt_micros);
-        let link = LinkState { least_rtt_micros, ..link };
-        let since = (now_micros.saturating_sub(self.looked_at_micros) as f64).min(MAX_GROWTH_MICROS);
-        (self.link, self.looked_at_micros) = (Some(link), now_micros);
-        // A full queue shows the link's rate. Later, the window may include the queue too, so the estimate follows it
-        // only step by step.
-        self.ceiling = if link.is_queueing() {
-            Some(link.bytes_per_second())
-        } else {
-            self.ceiling.map(|c| c * (since / DOUBLED_IN_MICROS).exp2())
-        };
+    /// Notes the state of the link.
+    pub fn handle_link(&mut self, link: LinkState) {
+        self.link = Some(link);
     }
 
     /// The assumed rate of the link, bytes per second: infinite until it is known.
     pub fn bytes_per_second(&self) -> f64 {
         let link = self.link.map_or(f64::INFINITY, |link| {
-            // A window without a queue is not all that the link carries: it grows when it is filled.
-            let open = if self.least_rtt.is_draining() {
-                FILLING / 3.0
-            } else if link.is_queueing() {
-                (FILLING - link.queue_seconds() / DRAINED_IN_SECONDS).max(FILLING / 3.0)
-            } else {
-                OPENING
-            };
-            (link.bytes_per_second() * open).min(self.ceiling.map_or(f64::INFINITY, |c| c * FILLING))
+            // Only frames that fill the link show what it carries.
+            link.bytes_per_second * if link.is_measured { FILLING } else { OPENING }
         });
         link.min(self.plan.bytes_per_second.unwrap_or(f64::INFINITY))
     }
@@ -345,16 +302,8 @@ const MEANT: f32 = 0.5;
 const TURN_KEPT: f32 = 0.75;
 /// Fraction of the link's rate that frames may fill.
 const FILLING: f64 = 0.9;
-/// Time in which to drain a queue, s.
-const DRAINED_IN_SECONDS: f64 = 0.5;
-/// Number of windows that frames may fill when nothing queues: within one round trip more would not be noticed.
+/// Multiple of the sent rate that frames may fill while the link carries all of it.
 const OPENING: f64 = 2.0;
-/// Time in which the assumed rate doubles without a queue, µs, however many frames that are. From one frame to the
-/// next it at most doubles.
-const DOUBLED_IN_MICROS: f64 = 1e6;
-const MAX_GROWTH_MICROS: f64 = DOUBLED_IN_MICROS;
-/// Clocks and threads cannot resolve shorter round trips.
-const MIN_RTT_MICROS: u64 = 500;
 
 #[cfg(test)]
 mod tests;

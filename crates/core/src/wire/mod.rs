@@ -5,11 +5,13 @@
 //! |---|---|---|
 //! | [`ClientMessage`], [`ServerMessage`] | both | one bidirectional stream that the client opens; see [`control`] |
 //! | [`PoseRequest`] | client to server | datagram, in `wire/pose.rs` |
-//! | chunk of a layered frame | server to client | one unidirectional stream each; see [`crate::codec`] |
+//! | layered frame | server to client | one unidirectional stream each: its chunks; see [`crate::codec`] |
+//! | parity of a frame's stream | server to client | datagrams; see [`parity`] |
 //! | picture to keep | server to client | one unidirectional stream each; see [`screenshot`] |
 //! | slice through the volume | server to client | one unidirectional stream each; see [`mod@slice`] |
 
 pub mod control;
+pub mod parity;
 mod pose;
 mod probe;
 mod profile;

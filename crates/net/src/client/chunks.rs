@@ -1,68 +1,96 @@
-//! Reads the streams of chunks.
+//! Reads the streams of frames, and the parity that restores them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
-use isinglass_core::codec::{self, HEADER_BYTES, MAX_CHUNK_BYTES};
-use isinglass_core::session::chunks::{ChunkPlace, Prediction};
+use isinglass_core::codec::{self, ChunkHeader, HEADER_BYTES, MAX_CHUNK_BYTES};
+use isinglass_core::session::chunks::{ChunkPlace, MAX_FRAME_BYTES, Prediction};
+use isinglass_core::session::repair::RepairedStream;
+use isinglass_core::wire::parity::ParityHead;
 use isinglass_core::wire::screenshot::screenshot_id;
 use isinglass_core::wire::slice::slice_id;
 use quinn::{Connection, RecvStream};
 
+use super::parities::{Listener, Parities};
 use super::{Shared, whole};
-use crate::transport::{RESET_SUPERSEDED, STOP_UNUSABLE};
+use crate::transport::{RESET_SUPERSEDED, STOP_REPAIRED, STOP_UNUSABLE};
 
-/// Reads each stream of a connection in a task of its own, until the connection ends.
+/// Reads each stream of a connection in a task of its own, and hands parity to these tasks, until the connection
+/// ends.
 pub(super) async fn read_all(shared: &Arc<Shared>, connection: &Connection, number: u32) {
     let budget = Arc::new(AtomicUsize::new(0));
-    while let Ok(stream) = connection.accept_uni().await {
-        let (shared, budget) = (shared.clone(), Budget { total: budget.clone(), taken: 0 });
-        tokio::spawn(async move {
-            if let Err(problem) = read(&shared, stream, number, budget).await {
-                shared.note_broken_chunk(problem);
+    let parities = Arc::<Parities>::default();
+    let reading = async {
+        while let Ok(stream) = connection.accept_uni().await {
+            let (shared, budget) = (shared.clone(), Budget { total: budget.clone(), taken: 0 });
+            let parity = parities.listen(stream.id().into());
+            tokio::spawn(async move {
+                if let Err(problem) = read(&shared, stream, number, budget, parity).await {
+                    shared.note_broken_chunk(problem);
+                }
+            });
+        }
+    };
+    let repairing = async {
+        while let Ok(datagram) = connection.read_datagram().await {
+            if let Err(problem) = parities.pass_on(datagram) {
+                shared.note_broken_chunk(problem.to_string());
             }
-        });
-    }
+        }
+    };
+    tokio::join!(reading, repairing);
 }
 
-/// Reads one chunk. A stream that is reset, superseded or cut off by the connection's end is no error.
+/// Reads one frame. A stream that is reset, superseded or cut off by the connection's end is no error.
 async fn read(
     shared: &Shared,
     mut stream: RecvStream,
     number: u32,
     mut budget: Budget,
+    mut parity: Listener,
 ) -> Result<(), String> {
-    let mut bytes = Vec::new();
+    let mut frame = RepairedStream::default();
     let mut first_byte_micros = None;
-    let mut header = None;
-    while let Ok(next) = stream.read_chunk(usize::MAX, true).await {
-        let Some(part) = next else {
-            let header = header.ok_or_else(|| format!("a stream of {} bytes is no chunk", bytes.len()))?;
-            let now = shared.clock.now_micros();
-            let first = first_byte_micros.unwrap_or(now);
-            let place = place(&header, &bytes);
-            let mut chunks = shared.chunks();
-            if chunks.connection() == number {
-                chunks.handle_chunk(now, first, place, bytes).map_err(|e| e.to_string())?;
-                shared.decode_wanted.notify_one();
+    let mut header: Option<ChunkHeader> = None;
+    loop {
+        let due = frame.repair_due().map(|due| due.saturating_sub(shared.clock.now_micros()));
+        let next = tokio::select! {
+            biased;
+            next = stream.read_chunk(usize::MAX, false) => next,
+            Some(datagram) = parity.next() => {
+                if let Ok((head, symbols)) = ParityHead::decode(&datagram) {
+                    frame.handle_parity(shared.clock.now_micros(), head, symbols);
+                }
+                continue;
             }
-            return Ok(());
+            () = tokio::time::sleep(Duration::from_micros(due.unwrap_or(0))), if due.is_some() => {
+                if frame.repair() {
+                    let _ = stream.stop(STOP_REPAIRED);
+                    break;
+                }
+                continue;
+            }
         };
-        first_byte_micros.get_or_insert_with(|| shared.clock.now_micros());
-        let length = bytes.len() + part.bytes.len();
-        if length > MAX_CHUNK_BYTES || !budget.take(part.bytes.len()) {
+        let Ok(next) = next else { return Ok(()) };
+        let Some(part) = next else { break };
+        let now = shared.clock.now_micros();
+        first_byte_micros.get_or_insert(now);
+        let end = part.offset as usize + part.bytes.len();
+        if end > MAX_FRAME_BYTES || !budget.grow_to(end) {
             let _ = stream.stop(STOP_UNUSABLE);
-            return Err(format!("a chunk of more than {} bytes is not read", bytes.len()));
+            return Err(format!("a frame of more than {} bytes is not read", frame.num_bytes()));
         }
-        bytes.extend_from_slice(&part.bytes);
-        if header.is_none() && screenshot_id(&bytes).is_some() {
-            return whole::read_screenshot(shared, stream, bytes, budget).await;
+        frame.handle_part(now, part.offset as usize, &part.bytes);
+        let bytes = frame.prefix();
+        if header.is_none() && screenshot_id(bytes).is_some() {
+            return whole::read_screenshot(shared, stream, frame, budget).await;
         }
-        if header.is_none() && slice_id(&bytes).is_some() {
-            return whole::read_slice(shared, stream, bytes, budget).await;
+        if header.is_none() && slice_id(bytes).is_some() {
+            return whole::read_slice(shared, stream, frame, budget).await;
         }
         if header.is_none() && bytes.len() >= HEADER_BYTES {
-            let read = codec::peek(&bytes);
+            let read = codec::peek(bytes);
             if read.is_err() {
                 let _ = stream.stop(STOP_UNUSABLE);
             }
@@ -73,15 +101,37 @@ async fn read(
             return Ok(());
         }
     }
-    Ok(())
+    let now = shared.clock.now_micros();
+    let first = first_byte_micros.unwrap_or(now);
+    let mut bytes = frame.into_bytes();
+    let mut chunks = shared.chunks();
+    if chunks.connection() != number {
+        return Ok(());
+    }
+    loop {
+        let header =
+            codec::peek(&bytes).map_err(|_| format!("a stream of {} bytes is no frame", bytes.len()))?;
+        let length = header.chunk_bytes();
+        if bytes.len() < length {
+            return Err(format!("a frame ends after {} bytes of {length}", bytes.len()));
+        }
+        let rest = bytes.split_off(length);
+        let place = place(&header, &bytes);
+        chunks.handle_chunk(now, first, place, bytes).map_err(|e| e.to_string())?;
+        if rest.is_empty() {
+            shared.decode_wanted.notify_one();
+            return Ok(());
+        }
+        bytes = rest;
+    }
 }
 
 /// Whether others can be predicted from the frame.
-fn is_predicting(header: &codec::ChunkHeader) -> bool {
+fn is_predicting(header: &ChunkHeader) -> bool {
     !header.is_exact
 }
 
-fn place(header: &codec::ChunkHeader, bytes: &[u8]) -> ChunkPlace {
+fn place(header: &ChunkHeader, bytes: &[u8]) -> ChunkPlace {
     let prediction =
         is_predicting(header).then(|| Prediction { reference: codec::blocks::reference_named(bytes) });
     ChunkPlace {
@@ -100,7 +150,12 @@ pub(super) struct Budget {
 }
 
 impl Budget {
-    pub(super) fn take(&mut self, bytes: usize) -> bool {
+    /// Takes what is missing for so many bytes in all.
+    pub(super) fn grow_to(&mut self, bytes: usize) -> bool {
+        self.take(bytes.saturating_sub(self.taken))
+    }
+
+    fn take(&mut self, bytes: usize) -> bool {
         self.taken += bytes;
         self.total.fetch_add(bytes, Ordering::Relaxed) + bytes <= MAX_READING_BYTES
     }

@@ -16,6 +16,7 @@ use quinn::{
 };
 use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, timeout};
 use tracing::Instrument;
@@ -26,13 +27,15 @@ use crate::control_stream::{self, ReceiveError};
 use crate::identity::{IdentityError, Mismatch, SERVER_NAME, pinned_tls, random_token};
 use crate::link::Link;
 use crate::talk::until_due;
-use crate::transport::{self, AUTH_DEADLINE, SILENCE_LIMIT};
+use crate::transport::{self, AUTH_DEADLINE};
 
 /// The server's address and the content of the hello.
 pub(super) struct Dialer {
     link: Link,
     name: String,
     conditioner: Option<LinkModel>,
+    /// Makes the sockets, in place of the system.
+    pub(super) sockets: Option<SocketSource>,
     config: quinn::ClientConfig,
     mismatch: Arc<Mismatch>,
     /// The link's token first, later the newest ticket.
@@ -40,6 +43,9 @@ pub(super) struct Dialer {
     instance: Token,
     random: Xoshiro256PlusPlus,
 }
+
+/// Makes a socket for each attempt to connect.
+pub(super) type SocketSource = Box<dyn Fn() -> (Arc<dyn AsyncUdpSocket>, EndpointConfig) + Send + Sync>;
 
 /// A connection that was welcomed.
 struct Dialed {
@@ -58,6 +64,7 @@ impl Dialer {
         Ok(Self {
             name: options.name.clone(),
             conditioner: options.conditioner.clone(),
+            sockets: None,
             config,
             mismatch,
             token,
@@ -105,6 +112,36 @@ impl Dialer {
                 Err(ConnectError::Refused(refusal))
             }
             _ => Err(ConnectError::Protocol("the first message is not a welcome".into())),
+        }
+    }
+
+    /// Makes another connection while the present one is `silent`. If the present one is heard first, the attempt
+    /// ends.
+    async fn dial_beside(&mut self, shared: &Arc<Shared>, mut silent: watch::Receiver<bool>) -> Dialed {
+        let mut attempt = 0;
+        loop {
+            if silent.wait_for(|is_silent| *is_silent).await.is_err() {
+                // The present connection has ended.
+                return std::future::pending().await;
+            }
+            let since_micros = shared.clock.now_micros();
+            let dialed = tokio::select! {
+                dialed = self.dial(shared) => Some(dialed),
+                Ok(_) = silent.wait_for(|is_silent| !is_silent) => None,
+            };
+            match dialed {
+                Some(Ok(dialed)) => return dialed,
+                Some(Err(problem)) => {
+                    tracing::warn!("{problem}");
+                    attempt += 1;
+                    shared.update(|s| s.state = State::Reconnecting { since_micros, attempt, problem });
+                    tokio::time::sleep(BETWEEN_OTHERS).await;
+                }
+                None => {
+                    attempt = 0;
+                    shared.update(|s| s.state = State::Connected);
+                }
+            }
         }
     }
 
@@ -156,6 +193,10 @@ impl Dialer {
             SocketAddr::V6(_) => ([0u16; 8], 0).into(),
         };
         let runtime = Arc::new(TokioRuntime);
+        if let Some(source) = &self.sockets {
+            let (socket, config) = source();
+            return Endpoint::new_with_abstract_socket(config, None, socket, runtime);
+        }
         let plain = runtime.wrap_udp_socket(std::net::UdpSocket::bind(any)?)?;
         let socket: Arc<dyn AsyncUdpSocket> = match &self.conditioner {
             Some(model) => ConditionedSocket::new(plain, model, shared.counters.clone()),
@@ -229,9 +270,26 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
             Ok(dialed) => {
                 let span = tracing::info_span!("session", server = %dialed.connection.remote_address());
                 let (mut dialed, since) = (dialed, Instant::now());
-                let ended = tokio::select! {
-                    () = &mut stopped => None,
-                    ended = drive(&shared, &mut dialed).instrument(span) => Some(ended),
+                let ended = loop {
+                    let (silent_in, silent) = watch::channel(false);
+                    let old = dialed.connection.clone();
+                    let ended = tokio::select! {
+                        biased;
+                        () = &mut stopped => break None,
+                        other = dialer.dial_beside(&shared, silent.clone()) => Err(other),
+                        ended = drive(&shared, &mut dialed, &silent_in).instrument(span.clone()) => Ok(ended),
+                    };
+                    let other = match ended {
+                        Err(other) => Some(other),
+                        // The server may close the old connection before its welcome over the other arrives.
+                        Ok(_) if is_replaced(&old) && *silent.borrow() => {
+                            timeout(AUTH_DEADLINE, dialer.dial(&shared)).await.ok().and_then(Result::ok)
+                        }
+                        Ok(ended) => break Some(ended),
+                    };
+                    let Some(other) = other else { break Some(Ended::Connection) };
+                    old.close(transport::CLOSE_SILENT, b"");
+                    dialed = other;
                 };
                 let Some(ended) = ended else {
                     let _ = control_stream::send(&mut dialed.send, &ClientMessage::Bye).await;
@@ -267,13 +325,6 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
                         dialed.connection.close(transport::CLOSE_PROTOCOL, b"");
                         problem
                     }
-                    Ended::Silence => {
-                        dialed.connection.close(transport::CLOSE_SILENT, b"");
-                        ConnectError::Lost(format!(
-                            "no packet from the server for {} s",
-                            SILENCE_LIMIT.as_secs()
-                        ))
-                    }
                 }
             }
             Err(problem) => problem,
@@ -303,10 +354,9 @@ pub(super) async fn run(shared: Arc<Shared>, mut dialer: Dialer) {
 enum Ended {
     Connection,
     Problem(ConnectError),
-    Silence,
 }
 
-async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed) -> Ended {
+async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed, silent: &watch::Sender<bool>) -> Ended {
     let Dialed { connection, send, recv, .. } = dialed;
     let number = shared.chunks().connection();
     tokio::select! {
@@ -314,7 +364,7 @@ async fn drive(shared: &Arc<Shared>, dialed: &mut Dialed) -> Ended {
         ended = read_messages(shared, recv) => ended,
         () = write_messages(shared, send) => Ended::Connection,
         () = send_poses(shared, connection) => Ended::Connection,
-        () = watch_link(shared, connection) => Ended::Silence,
+        () = watch_link(shared, connection, silent) => Ended::Connection,
     }
 }
 
@@ -383,8 +433,8 @@ async fn send_poses(shared: &Shared, connection: &Connection) {
     }
 }
 
-/// Reads the connection's statistics; returns after too long a silence.
-async fn watch_link(shared: &Shared, connection: &Connection) {
+/// Reads the connection's statistics, and tells whether the server is silent.
+async fn watch_link(shared: &Shared, connection: &Connection, silent: &watch::Sender<bool>) {
     let mut tick = tokio::time::interval(STATS_INTERVAL);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let (mut heard_at, mut before) = (Instant::now(), connection.stats());
@@ -416,11 +466,19 @@ async fn watch_link(shared: &Shared, connection: &Connection) {
         if has_changed {
             (shared.wake)();
         }
-        if now - heard_at > SILENCE_LIMIT {
-            return;
-        }
+        silent.send_if_modified(|is_silent| {
+            let was = std::mem::replace(is_silent, now - heard_at > SILENCE_BEFORE_OTHER);
+            was != *is_silent
+        });
         (before, before_at) = (stats, now);
     }
+}
+
+fn is_replaced(connection: &Connection) -> bool {
+    matches!(
+        connection.close_reason(),
+        Some(ConnectionError::ApplicationClosed(close)) if close.error_code == transport::CLOSE_REPLACED
+    )
 }
 
 /// Waits for the last packet to leave.
@@ -431,6 +489,10 @@ async fn say_goodbye(endpoint: &Endpoint) {
 /// The TLS alert `no_application_protocol`, which QUIC carries in a crypto error (RFC 9001, section 4.8).
 const NO_COMMON_ALPN: u8 = 120;
 const STATS_INTERVAL: Duration = Duration::from_millis(200);
+/// Silence after which another connection is tried. Keep-alives are answered twice a second.
+const SILENCE_BEFORE_OTHER: Duration = Duration::from_secs(2);
+/// Pause between such attempts.
+const BETWEEN_OTHERS: Duration = Duration::from_millis(250);
 /// Time for a connection's close reason to arrive after the end of its streams.
 const REASON_WAIT: Duration = Duration::from_secs(1);
 /// Longest close reason that is shown, in characters.

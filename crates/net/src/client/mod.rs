@@ -8,6 +8,9 @@ mod chunks;
 mod connection;
 mod decode;
 mod error;
+#[cfg(test)]
+pub(crate) mod model;
+mod parities;
 mod status;
 mod whole;
 
@@ -176,20 +179,7 @@ impl Client {
             model.validate()?;
         }
         let dialer = connection::Dialer::new(link.clone(), &options)?;
-        let shared = Arc::new(Shared {
-            clock: options.clock,
-            after_work: options.after_work,
-            wake: options.wake,
-            talk: Talk::new(ClientSession::default()),
-            chunks: Mutex::default(),
-            decode_wanted: Condvar::new(),
-            unpacking: Semaphore::new(MAX_UNPACKING),
-            is_stopping: AtomicBool::new(false),
-            frame: ArcSwapOption::empty(),
-            status: StatusBoard::new(),
-            stop: watch::Sender::new(false),
-            counters: Arc::default(),
-        });
+        let shared = Arc::new(Shared::new(options));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (done_in, done) = mpsc::sync_channel(1);
         let for_network = shared.clone();
@@ -313,6 +303,23 @@ struct Shared {
 }
 
 impl Shared {
+    fn new(options: ClientOptions) -> Self {
+        Self {
+            clock: options.clock,
+            after_work: options.after_work,
+            wake: options.wake,
+            talk: Talk::new(ClientSession::default()),
+            chunks: Mutex::default(),
+            decode_wanted: Condvar::new(),
+            unpacking: Semaphore::new(MAX_UNPACKING),
+            is_stopping: AtomicBool::new(false),
+            frame: ArcSwapOption::empty(),
+            status: StatusBoard::new(),
+            stop: watch::Sender::new(false),
+            counters: Arc::default(),
+        }
+    }
+
     fn chunks(&self) -> MutexGuard<'_, ChunksClient> {
         lock(&self.chunks)
     }

@@ -106,6 +106,18 @@ impl Direction {
         Self { model: model.clone(), rng, busy_until: 0.0, last_arrival: 0 }
     }
 
+    /// From now on the link has these properties. Packets on their way are not affected.
+    #[cfg(test)]
+    pub(crate) fn set_model(&mut self, model: &LinkModel) {
+        self.model = model.clone();
+    }
+
+    /// How long a packet that enters now waits in the queue, µs.
+    #[cfg(test)]
+    pub(crate) fn queue_micros(&self, now_micros: u64) -> u64 {
+        (self.busy_until - now_micros as f64).max(0.0) as u64
+    }
+
     /// A packet with this many bytes of UDP payload enters now.
     pub fn offer(&mut self, now_micros: u64, bytes: usize) -> Fate {
         // Every packet draws both numbers, so that one packet's fate does not shift the others' draws.

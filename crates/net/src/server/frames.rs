@@ -14,6 +14,7 @@ use isinglass_core::session::chunks::{
 };
 use isinglass_core::session::ledger::Stage;
 use isinglass_core::session::rate::LinkState;
+use isinglass_core::session::repair::{overhead, parity};
 use isinglass_core::wire::screenshot::screenshot_header;
 use quinn::{SendStream, WriteError};
 use tokio::sync::watch;
@@ -68,7 +69,7 @@ impl FrameSender {
     /// # Errors
     /// If the connection is over.
     pub async fn send_screenshot(&self, id: ScreenshotId, png: &[u8]) -> Result<(), SessionClosed> {
-        let mut stream = ChunkStream::open_whole(&self.link, SCREENSHOT_PRIORITY).await?;
+        let mut stream = FrameStream::open_whole(&self.link, SCREENSHOT_PRIORITY).await?;
         let header = screenshot_header(id);
         for part in [&header[..]].into_iter().chain(png.chunks(4 * PIECE)) {
             if !stream.write_behind(&self.link, part).await? {
@@ -76,7 +77,7 @@ impl FrameSender {
             }
         }
         let _ = stream.stream.finish();
-        all_delivered(&[stream]).await;
+        stream.is_delivered().await;
         Ok(())
     }
 
@@ -92,7 +93,7 @@ impl FrameSender {
         bytes: &[u8],
         is_ahead: &watch::Receiver<bool>,
     ) -> Result<SentSlice, SessionClosed> {
-        let mut stream = ChunkStream::open_whole(&self.link, SLICE_AHEAD_PRIORITY).await?;
+        let mut stream = FrameStream::open_whole(&self.link, SLICE_AHEAD_PRIORITY).await?;
         for part in bytes.chunks(4 * PIECE) {
             let is_ahead = *is_ahead.borrow();
             let _ = stream.stream.set_priority(if is_ahead { SLICE_AHEAD_PRIORITY } else { SLICE_PRIORITY });
@@ -108,13 +109,25 @@ impl FrameSender {
         Ok(SentSlice(stream))
     }
 
-    /// The state of the link according to QUIC.
+    /// The state of the link according to the congestion control.
     pub fn link_state(&self) -> LinkState {
-        let path = self.link.connection.stats().path;
+        let gauge = &self.link.gauge;
+        let Some(bytes_per_second) = gauge.bytes_per_second() else {
+            // Before any data is acknowledged, or with a congestion control that knows no rates.
+            let path = self.link.connection.stats().path;
+            return LinkState {
+                bytes_per_second: path.cwnd as f64 / path.rtt.as_secs_f64().max(1e-3),
+                is_measured: false,
+                least_rtt_micros: path.min_rtt.as_micros() as u64,
+            };
+        };
+        // Parity is sent beside the frames.
+        let usual = (bytes_per_second / USUAL_FRAMES_PER_SECOND) as usize;
+        let overhead = overhead(usual, gauge.loss(), USUAL_PACKET_BYTES);
         LinkState {
-            window_bytes: path.cwnd,
-            rtt_micros: path.rtt.as_micros() as u64,
-            least_rtt_micros: path.min_rtt.as_micros() as u64,
+            bytes_per_second: bytes_per_second / (1.0 + overhead),
+            is_measured: gauge.knows_rate(),
+            least_rtt_micros: gauge.least_rtt_micros(),
         }
     }
 
@@ -138,44 +151,48 @@ impl FrameSender {
             (true, true) => Rank::Finer,
         };
         let writing = Writing::of(link);
-        let mut streams = Vec::with_capacity(chunks.len());
-        for chunk in chunks {
-            let mut stream = ChunkStream::open(link, frame, &chunk, rank).await?;
-            stream.write(link, &chunk.bytes).await?;
-            streams.push(stream);
+        let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
+        let _ = stream.set_priority(priority(frame, rank));
+        let mut stream = FrameStream { stream, first_of: Some(frame) };
+        let bytes: Vec<u8> = chunks.into_iter().flat_map(|chunk| chunk.bytes).collect();
+        if stream.write_part(link, &bytes).await? {
+            let _ = stream.stream.finish();
+            if rank != Rank::Finer {
+                send_parity(link, &stream.stream, &bytes);
+            }
         }
         drop(writing);
         link.journal.stamp(frame, Stage::LastByteSent);
         tracing::trace!("taken");
         let watched = link.clone();
-        tokio::spawn(async move { deliver(&watched, frame, streams, rank).await }.in_current_span());
+        tokio::spawn(async move { deliver(&watched, frame, stream, rank).await }.in_current_span());
         Ok(())
     }
 }
 
 /// A slice that the network has taken.
 #[derive(Debug)]
-pub struct SentSlice(ChunkStream);
+pub struct SentSlice(FrameStream);
 
 impl SentSlice {
     /// Returns when the viewer has the slice, or wants it no longer.
     pub async fn delivered(self) {
-        all_delivered(&[self.0]).await;
+        self.0.is_delivered().await;
     }
 }
 
 /// Waits until a frame is acknowledged. Gives it up when a newer one is, unless later frames may be predicted from it.
-async fn deliver(link: &ViewerLink, frame: FrameId, streams: Vec<ChunkStream>, rank: Rank) {
+async fn deliver(link: &ViewerLink, frame: FrameId, stream: FrameStream, rank: Rank) {
     tokio::select! {
         biased;
-        is_delivered = all_delivered(&streams) => {
+        is_delivered = stream.is_delivered() => {
             if is_delivered {
                 tracing::trace!("delivered");
                 link.talk.lock_quietly().chunks.handle_delivered(frame);
                 link.progress.send_replace(());
             }
         }
-        () = superseded(link, frame), if rank != Rank::Predicting => drop(streams),
+        () = superseded(link, frame), if rank != Rank::Predicting => drop(stream),
     }
 }
 
@@ -205,38 +222,37 @@ async fn superseded(link: &ViewerLink, frame: FrameId) {
     }
 }
 
-/// Whether the client has all of these streams; `false` if it has stopped one or left.
-async fn all_delivered(streams: &[ChunkStream]) -> bool {
-    for stream in streams {
-        if !matches!(stream.stream.stopped().await, Ok(None)) {
-            return false;
+/// Sends what restores lost packets of a frame, if the link loses packets.
+fn send_parity(link: &ViewerLink, stream: &SendStream, bytes: &[u8]) {
+    let (connection, loss) = (&link.connection, link.gauge.loss());
+    let packet_bytes = connection.max_datagram_size().unwrap_or(0);
+    for datagram in parity(stream.id().into(), bytes, loss, packet_bytes) {
+        if connection.send_datagram(datagram.into()).is_err() {
+            return;
         }
     }
-    true
 }
 
 /// A stream that is reset on drop, unless the client has all of it. Otherwise quinn would deliver a part of it as if
 /// it were whole.
 #[derive(Debug)]
-struct ChunkStream {
+struct FrameStream {
     stream: SendStream,
-    /// The frame, until the first byte of the chunk is written.
+    /// The frame, until its first byte is written.
     first_of: Option<FrameId>,
 }
 
-impl ChunkStream {
-    async fn open(
-        link: &ViewerLink,
-        frame: FrameId,
-        chunk: &Chunk,
-        rank: Rank,
-    ) -> Result<Self, SessionClosed> {
-        let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
-        let _ = stream.set_priority(priority(frame, chunk.index, rank));
-        Ok(Self { stream, first_of: Some(frame) })
+impl FrameStream {
+    /// Whether the client has all of it; `false` if it has stopped it or left.
+    async fn is_delivered(&self) -> bool {
+        match self.stream.stopped().await {
+            Ok(None) => true,
+            Ok(Some(code)) => code == transport::STOP_REPAIRED,
+            Err(_) => false,
+        }
     }
 
-    /// A stream for something that is no chunk.
+    /// A stream for something that is no frame.
     async fn open_whole(link: &ViewerLink, priority: i32) -> Result<Self, SessionClosed> {
         let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
         let _ = stream.set_priority(priority);
@@ -252,17 +268,9 @@ impl ChunkStream {
         self.write_part(link, part).await
     }
 
-    /// Writes a whole chunk as window and rate allow. A client may stop the stream without an error.
-    async fn write(&mut self, link: &ViewerLink, bytes: &[u8]) -> Result<(), SessionClosed> {
-        if self.write_part(link, bytes).await? {
-            let _ = self.stream.finish();
-        }
-        Ok(())
-    }
-
     /// Writes a part of the stream; returns whether the client still takes it.
     async fn write_part(&mut self, link: &ViewerLink, bytes: &[u8]) -> Result<bool, SessionClosed> {
-        // Writing in pieces lets the window follow the congestion window during a long chunk.
+        // Writing in pieces lets the window follow the congestion window during a long frame.
         for piece in bytes.chunks(PIECE) {
             let now = Instant::now();
             let at = link.pace().take(now, piece.len());
@@ -285,7 +293,7 @@ impl ChunkStream {
     }
 }
 
-impl Drop for ChunkStream {
+impl Drop for FrameStream {
     fn drop(&mut self) {
         let _ = self.stream.reset(transport::RESET_SUPERSEDED);
     }
@@ -311,6 +319,9 @@ impl Pace {
     }
 }
 
+/// Frames that share the rate of a link, for an estimate of their parity.
+const USUAL_FRAMES_PER_SECOND: f64 = 60.0;
+const USUAL_PACKET_BYTES: usize = 1200;
 /// What may leave at once after a pause, as time at the rate: half a frame at 30 a second.
 const BURST: Duration = Duration::from_millis(16);
 /// Bounds the wait where a rate is absurdly small.

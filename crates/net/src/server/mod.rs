@@ -20,12 +20,14 @@ use isinglass_core::session::chunks::CONTROL_PRIORITY;
 use isinglass_core::session::pose::MAX_POSES_PER_SECOND;
 use isinglass_core::session::server::violation;
 use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
-use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, SendStream, TokioRuntime};
+use quinn::congestion::ControllerFactory;
+use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, Runtime, SendStream, TokioRuntime};
 use tokio::sync::{Notify, mpsc};
 use tokio::time::Instant;
 use tracing::Instrument;
 
 use crate::clock::Clock;
+use crate::congestion::{DelayConfig, LinkGauge};
 use crate::control_stream::{self, ReceiveError};
 use crate::identity::{Fingerprint, Identity, IdentityError, random_token};
 use crate::link::Link;
@@ -58,6 +60,15 @@ pub struct ServerOptions {
 impl Default for ServerOptions {
     fn default() -> Self {
         Self { max_viewers: 8, clock: Clock::start() }
+    }
+}
+
+/// A congestion control for comparison with [`crate::congestion`].
+pub(crate) struct OtherCongestion(pub(crate) Arc<dyn ControllerFactory + Send + Sync>);
+
+impl std::fmt::Debug for OtherCongestion {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("OtherCongestion")
     }
 }
 
@@ -97,6 +108,8 @@ pub enum BindError {
 #[derive(Debug)]
 struct ServerShared {
     options: ServerOptions,
+    config: quinn::ServerConfig,
+    other_congestion: Option<OtherCongestion>,
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
     pending: Arc<PendingHellos>,
@@ -127,22 +140,38 @@ impl Server {
         options: ServerOptions,
         greeting: impl Into<Arc<Greeting>>,
     ) -> Result<Self, BindError> {
-        let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls()?));
-        config
-            .transport_config(Arc::new(transport::server()))
-            .max_incoming(MAX_PENDING)
-            .incoming_buffer_size(64 << 10)
-            .incoming_buffer_size_total(4 << 20);
         let io_error = |source: io::Error| match source.kind() {
             io::ErrorKind::AddrInUse => BindError::InUse(address),
             _ => BindError::Io { address, source },
         };
         let socket = std::net::UdpSocket::bind(address).map_err(io_error)?;
-        let endpoint = Endpoint::new(EndpointConfig::default(), Some(config), socket, Arc::new(TokioRuntime))
-            .map_err(io_error)?;
+        let socket = TokioRuntime.wrap_udp_socket(socket).map_err(io_error)?;
+        let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls()?));
+        config.max_incoming(MAX_PENDING).incoming_buffer_size(64 << 10).incoming_buffer_size_total(4 << 20);
+        let endpoint = Endpoint::new_with_abstract_socket(
+            EndpointConfig::default(),
+            Some(config.clone()),
+            socket,
+            Arc::new(TokioRuntime),
+        );
+        let endpoint = endpoint.map_err(io_error)?;
+        Ok(Self::over(endpoint, config, identity.fingerprint(), options, greeting.into(), None))
+    }
+
+    /// The same over an endpoint with this configuration.
+    pub(crate) fn over(
+        endpoint: Endpoint,
+        config: quinn::ServerConfig,
+        fingerprint: Fingerprint,
+        options: ServerOptions,
+        greeting: Arc<Greeting>,
+        other_congestion: Option<OtherCongestion>,
+    ) -> Self {
         let shared = Arc::new(ServerShared {
             options,
-            greeting: Mutex::new(greeting.into()),
+            config,
+            other_congestion,
+            greeting: Mutex::new(greeting),
             doors: Mutex::default(),
             pending: Arc::default(),
             strangers: StrangerLog::default(),
@@ -151,7 +180,7 @@ impl Server {
         });
         let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
         tokio::spawn(accept_all(endpoint.clone(), shared.clone(), sender));
-        Ok(Self { endpoint, shared, sessions, fingerprint: identity.fingerprint() })
+        Self { endpoint, shared, sessions, fingerprint }
     }
 
     /// The bound address with its real port.
@@ -228,6 +257,17 @@ impl Drop for Server {
 }
 
 impl ServerShared {
+    /// The configuration of one connection.
+    fn config_with(&self, gauge: Arc<LinkGauge>) -> Arc<quinn::ServerConfig> {
+        let congestion = match &self.other_congestion {
+            Some(OtherCongestion(other)) => other.clone(),
+            None => Arc::new(DelayConfig { gauge, ..DelayConfig::default() }),
+        };
+        let mut config = self.config.clone();
+        config.transport_config(Arc::new(transport::server(congestion)));
+        Arc::new(config)
+    }
+
     fn doors(&self) -> MutexGuard<'_, Doors> {
         // Every change is one step, so a panic leaves the doors in order.
         self.doors.lock().unwrap_or_else(PoisonError::into_inner)
@@ -269,6 +309,7 @@ async fn accept_all(endpoint: Endpoint, shared: Arc<ServerShared>, sessions: mps
 /// A connection whose hello was accepted and answered.
 struct Admitted {
     connection: Connection,
+    gauge: Arc<LinkGauge>,
     send: SendStream,
     recv: RecvStream,
     place: Place,
@@ -293,8 +334,10 @@ impl Drop for Place {
 /// From the first packet to the welcome, or why there is no viewer.
 async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitted, String> {
     let remote = incoming.remote_address();
+    let gauge = Arc::<LinkGauge>::default();
     let greeted = async {
-        let connection = incoming.await.map_err(|e| e.to_string())?;
+        let connecting = incoming.accept_with(shared.config_with(gauge.clone()));
+        let connection = connecting.map_err(|e| e.to_string())?.await.map_err(|e| e.to_string())?;
         let guard = CloseUnlessKept(Some(connection.clone()));
         let (send, mut recv) = connection.accept_bi().await.map_err(|e| e.to_string())?;
         let _ = send.set_priority(CONTROL_PRIORITY);
@@ -329,7 +372,7 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
     let welcome = ServerMessage::Welcome(welcome);
     control_stream::send(&mut send, &welcome).await.map_err(|e| e.to_string())?;
     guard.0 = None;
-    Ok(Admitted { connection, send, recv, place, name, greeting })
+    Ok(Admitted { connection, gauge, send, recv, place, name, greeting })
 }
 
 /// Decides on a hello and takes the place.

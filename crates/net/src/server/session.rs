@@ -12,11 +12,13 @@ use isinglass_core::wire::Refusal;
 use isinglass_core::wire::control::one_line;
 use quinn::{Connection, RecvStream, SendStream};
 use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
 use tracing::Instrument;
 
 use super::frames::{FrameSender, Pace};
 use super::{Admitted, Greeting, refuse};
 use crate::clock::Clock;
+use crate::congestion::LinkGauge;
 use crate::control_stream::{self, ReceiveError};
 use crate::journal::Journal;
 use crate::talk::{Talk, Talking, until_due};
@@ -85,6 +87,7 @@ impl Control {
 #[derive(Debug)]
 pub(super) struct ViewerLink {
     pub(super) connection: Connection,
+    pub(super) gauge: Arc<LinkGauge>,
     pub(super) talk: Talk<ServerSession>,
     pace: Mutex<Pace>,
     pub(super) journal: Journal,
@@ -112,7 +115,7 @@ impl Drop for CloseOnDrop {
 
 /// Serves one connection until it is over.
 pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
-    let Admitted { connection, mut send, recv, place, name, greeting } = admitted;
+    let Admitted { connection, gauge, mut send, recv, place, name, greeting } = admitted;
     let (id, viewer) = (place.session, place.viewer);
     let span = tracing::info_span!("session", id, viewer = viewer.0);
     let clock = place.shared.options.clock.clone();
@@ -120,6 +123,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let (version, look) = (greeting.look_version, greeting.look.clone());
     let link = Arc::new(ViewerLink {
         connection: connection.clone(),
+        gauge,
         talk: Talk::new(ServerSession::new(clock.now_micros(), viewer, version, look)),
         pace: Mutex::default(),
         journal: journal.clone(),
@@ -183,7 +187,12 @@ async fn watch_silence(connection: &Connection) {
 }
 
 async fn read_poses(link: &ViewerLink, clock: &Clock, heard: &watch::Sender<()>) {
+    let mut heard_at = Instant::now();
     while let Ok(bytes) = link.connection.read_datagram().await {
+        if heard_at.elapsed() > OUTAGE {
+            link.gauge.handle_heard_again();
+        }
+        heard_at = Instant::now();
         let handled = link.talk.lock_quietly().handle_datagram(clock.now_micros(), &bytes);
         match handled {
             Ok(true) => heard.send_replace(()),
@@ -247,3 +256,5 @@ async fn write_messages(link: &ViewerLink, clock: &Clock, stream: &mut SendStrea
 
 /// Time between two looks at whether packets come.
 const SILENCE_CHECK: Duration = Duration::from_secs(1);
+/// A pause between poses after which the link may have been dead. A viewer repeats its pose more often.
+const OUTAGE: Duration = Duration::from_millis(300);

@@ -162,9 +162,9 @@ impl Viewer {
     /// Decides how a frame is coded, and has it coded.
     fn code(&mut self, asked: Asked, generated: Generated) {
         let reference = self.sent.next(self.session.talk().chunks.reported()).cloned();
-        let (now, link) = (self.now_micros(), self.session.frames.link_state());
+        let link = self.session.frames.link_state();
         let mode = generated.frame.header.mode;
-        let sending = self.frames.choose_coding(now, link, asked, mode, reference.is_some());
+        let sending = self.frames.choose_coding(link, asked, mode, reference.is_some());
         self.pipeline.code(generated, Ticket { sending, reference, wish: Wish::default() });
     }
 

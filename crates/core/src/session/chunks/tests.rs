@@ -377,18 +377,16 @@ fn priorities_never_mix_ranks() {
     use Rank::{Finer, Independent, Predicting};
     for n in [1u32, 2, 1_000_000, 0x01ff_fffe] {
         let (old, new) = (FrameId(n), FrameId(n + 1));
-        let p = |f, i, rank| priority(f, ChunkIndex(i), rank);
-        assert!(p(new, 0, Independent) > p(old, 0, Independent));
-        assert!(p(new, 15, Finer) > p(old, 0, Finer));
-        assert!(p(old, 0, Independent) > p(old, 1, Independent));
-        assert!(p(old, 15, Independent) > p(new, 0, Finer));
-        assert!(p(FrameId(0), 15, Independent) > p(FrameId(FRAMES), 0, Finer));
+        let p = priority;
+        assert!(p(new, Independent) > p(old, Independent));
+        assert!(p(new, Finer) > p(old, Finer));
+        assert!(p(old, Independent) > p(new, Finer));
+        assert!(p(FrameId(0), Independent) > p(FrameId(FRAMES), Finer));
         // What others wait for goes before them.
-        assert!(p(old, 15, Predicting) > p(new, 0, Predicting));
-        assert!(p(old, 0, Predicting) > p(old, 1, Predicting));
-        assert!(p(FrameId(FRAMES), 15, Predicting) > p(FrameId(FRAMES), 0, Independent));
-        assert!(p(FrameId(0), 0, Predicting) < CONTROL_PRIORITY);
-        assert!(p(FrameId(0), 0, Predicting) < SLICE_PRIORITY);
-        assert!(p(FrameId(0), 15, Finer) > SLICE_AHEAD_PRIORITY);
+        assert!(p(old, Predicting) > p(new, Predicting));
+        assert!(p(FrameId(FRAMES), Predicting) > p(FrameId(FRAMES), Independent));
+        assert!(p(FrameId(0), Predicting) < CONTROL_PRIORITY);
+        assert!(p(FrameId(0), Predicting) < SLICE_PRIORITY);
+        assert!(p(FrameId(0), Finer) > SLICE_AHEAD_PRIORITY);
     }
 }
