@@ -147,7 +147,9 @@ impl RepairedStream {
         }
         for (i, symbol) in symbols.chunks_exact(usize::from(head.symbol_bytes)).enumerate() {
             let index = head.first.saturating_add(i as u16);
-            if parity.symbols.iter().all(|(known, _)| *known != index) {
+            let is_new = parity.symbols.iter().all(|(known, _)| *known != index);
+            // More than the stream has itself is never needed.
+            if is_new && parity.symbols.len() < head.num_original() {
                 parity.symbols.push((index, symbol.to_vec()));
             }
         }

@@ -23,7 +23,7 @@ pub(super) async fn read_all(shared: &Arc<Shared>, connection: &Connection, numb
     let parities = Arc::<Parities>::default();
     let reading = async {
         while let Ok(stream) = connection.accept_uni().await {
-            let (shared, budget) = (shared.clone(), Budget { total: budget.clone(), taken: 0 });
+            let (shared, budget) = (shared.clone(), Budget { total: budget.clone(), ..Budget::default() });
             let parity = parities.listen(stream.id().into());
             tokio::spawn(async move {
                 if let Err(problem) = read(&shared, stream, number, budget, parity).await {
@@ -59,7 +59,9 @@ async fn read(
             biased;
             next = stream.read_chunk(usize::MAX, false) => next,
             Some(datagram) = parity.next() => {
-                if let Ok((head, symbols)) = ParityHead::decode(&datagram) {
+                if let Ok((head, symbols)) = ParityHead::decode(&datagram)
+                    && budget.take(symbols.len())
+                {
                     frame.handle_parity(shared.clock.now_micros(), head, symbols);
                 }
                 continue;
@@ -103,26 +105,26 @@ async fn read(
     }
     let now = shared.clock.now_micros();
     let first = first_byte_micros.unwrap_or(now);
-    let mut bytes = frame.into_bytes();
+    let bytes = frame.into_bytes();
     let mut chunks = shared.chunks();
     if chunks.connection() != number {
         return Ok(());
     }
+    let mut rest = &bytes[..];
     loop {
         let header =
-            codec::peek(&bytes).map_err(|_| format!("a stream of {} bytes is no frame", bytes.len()))?;
+            codec::peek(rest).map_err(|_| format!("a stream of {} bytes is no frame", bytes.len()))?;
         let length = header.chunk_bytes();
-        if bytes.len() < length {
-            return Err(format!("a frame ends after {} bytes of {length}", bytes.len()));
-        }
-        let rest = bytes.split_off(length);
-        let place = place(&header, &bytes);
-        chunks.handle_chunk(now, first, place, bytes).map_err(|e| e.to_string())?;
+        let Some((chunk, after)) = rest.split_at_checked(length) else {
+            return Err(format!("a frame ends after {} bytes of {length}", rest.len()));
+        };
+        let place = place(&header, chunk);
+        chunks.handle_chunk(now, first, place, chunk.to_vec()).map_err(|e| e.to_string())?;
+        rest = after;
         if rest.is_empty() {
             shared.decode_wanted.notify_one();
             return Ok(());
         }
-        bytes = rest;
     }
 }
 
@@ -144,15 +146,20 @@ fn place(header: &ChunkHeader, bytes: &[u8]) -> ChunkPlace {
 }
 
 /// Bytes that all streams of a connection hold while they are read.
+#[derive(Debug, Default)]
 pub(super) struct Budget {
     total: Arc<AtomicUsize>,
     taken: usize,
+    /// Of these, bytes of the stream.
+    of_stream: usize,
 }
 
 impl Budget {
-    /// Takes what is missing for so many bytes in all.
+    /// Takes what is missing for so many bytes of the stream.
     pub(super) fn grow_to(&mut self, bytes: usize) -> bool {
-        self.take(bytes.saturating_sub(self.taken))
+        let more = bytes.saturating_sub(self.of_stream);
+        self.of_stream += more;
+        self.take(more)
     }
 
     fn take(&mut self, bytes: usize) -> bool {

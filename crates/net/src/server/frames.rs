@@ -154,11 +154,14 @@ impl FrameSender {
         let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
         let _ = stream.set_priority(priority(frame, rank));
         let mut stream = FrameStream { stream, first_of: Some(frame) };
-        let bytes: Vec<u8> = chunks.into_iter().flat_map(|chunk| chunk.bytes).collect();
-        if stream.write_part(link, &bytes).await? {
+        let mut is_taken = true;
+        for chunk in &chunks {
+            is_taken = is_taken && stream.write_part(link, &chunk.bytes).await?;
+        }
+        if is_taken {
             let _ = stream.stream.finish();
             if rank != Rank::Finer {
-                send_parity(link, &stream.stream, &bytes);
+                send_parity(link, &stream.stream, &chunks);
             }
         }
         drop(writing);
@@ -223,10 +226,15 @@ async fn superseded(link: &ViewerLink, frame: FrameId) {
 }
 
 /// Sends what restores lost packets of a frame, if the link loses packets.
-fn send_parity(link: &ViewerLink, stream: &SendStream, bytes: &[u8]) {
+fn send_parity(link: &ViewerLink, stream: &SendStream, chunks: &[Chunk]) {
     let (connection, loss) = (&link.connection, link.gauge.loss());
+    let num_bytes = chunks.iter().map(|chunk| chunk.bytes.len()).sum();
+    if overhead(num_bytes, loss, USUAL_PACKET_BYTES) == 0.0 {
+        return;
+    }
+    let bytes = chunks.iter().map(|chunk| &chunk.bytes[..]).collect::<Vec<_>>().concat();
     let packet_bytes = connection.max_datagram_size().unwrap_or(0);
-    for datagram in parity(stream.id().into(), bytes, loss, packet_bytes) {
+    for datagram in parity(stream.id().into(), &bytes, loss, packet_bytes) {
         if connection.send_datagram(datagram.into()).is_err() {
             return;
         }

@@ -7,6 +7,7 @@ mod network;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
 
 use quinn::congestion::ControllerFactory;
@@ -76,7 +77,12 @@ impl World {
         self.num_viewers += 1;
         let address = viewer_address(self.num_viewers);
         let (network, seed) = (self.network.clone(), self.seed + u64::from(self.num_viewers));
-        ModelClient::connect(link, self.clock.clone(), seeded(seed), move || network.socket(address))
+        // Each attempt to connect has a port of its own.
+        let attempts = AtomicU16::new(0);
+        ModelClient::connect(link, self.clock.clone(), seeded(seed), move || {
+            let attempt = attempts.fetch_add(1, Ordering::Relaxed);
+            network.socket(SocketAddr::new(address.ip(), address.port() + 100 * attempt))
+        })
     }
 }
 
