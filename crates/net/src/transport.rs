@@ -63,7 +63,7 @@ pub(crate) fn server(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> Tr
     t
 }
 
-/// The client accepts frames. At 60 frames a second, 16 chunks each and a round trip of 300 ms, 300 streams are open.
+/// The client accepts frames. At 60 frames a second and a round trip of 300 ms, twenty streams are open.
 pub(crate) fn client() -> TransportConfig {
     let mut t = common(Arc::new(ViewerWindow));
     t.max_concurrent_bidi_streams(0u32.into())

@@ -1,8 +1,8 @@
 //! The chunks of frames in flight: which ones the server sends or gives up, and which ones the client decodes.
 //!
-//! Each chunk has its own stream; see [`crate::codec`]. A frame can be decoded when all its chunks have arrived. On a
-//! slow link, dropping every superseded frame would deliver nothing: a newer frame would cancel each one just before its
-//! end. So the server drops a frame only when the client is known to have a newer one.
+//! A stream carries the chunks of one frame; see [`crate::codec`]. A frame can be decoded when all of them are there.
+//! On a slow link, dropping every superseded frame would deliver nothing: a newer frame would cancel each one just
+//! before its end. So the server drops a frame only when the client is known to have a newer one.
 //!
 //! The client assembles at most [`MAX_ASSEMBLING`] frames of [`MAX_ASSEMBLING_BYTES`] in total; a newer frame evicts
 //! the oldest. A complete frame ends the older ones. Decoding never returns to an older frame, except to one that other

@@ -141,7 +141,7 @@ pub struct LinkStats {
     pub bytes_per_second: f64,
     /// Frames decoded in the last second.
     pub frames_per_second: u32,
-    /// Number of unusable chunks.
+    /// Number of unusable frames and datagrams.
     pub broken_chunks: u64,
     /// Time since the last packet, µs.
     pub silence_micros: u64,

@@ -73,7 +73,7 @@ impl Drop for Listener {
     }
 }
 
-/// A twelfth of the longest frame with parity, in packets.
-const MAX_DATAGRAMS: usize = 256;
+/// More than the parity of the longest frame.
+const MAX_DATAGRAMS: usize = 512;
 /// Streams without a reader whose parity is kept.
 const MAX_UNREAD: usize = 16;
