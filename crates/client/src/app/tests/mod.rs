@@ -444,7 +444,7 @@ fn keys_switch_what_they_say() {
         assert!(w.query_all_by_label(text).next().is_some(), "{keys} is in the help");
     }
     press(&mut w, Modifiers::NONE, Key::Escape);
-    assert!(!shown(&w, "turn about what is visible"));
+    assert!(!shown(&w, "make the point there"));
     for (key, of) in [
         (Key::B, (|aids: &ViewAids| aids.shows_box) as fn(&ViewAids) -> bool),
         (Key::A, |aids: &ViewAids| aids.shows_axes),
