@@ -283,6 +283,9 @@ fn open_choice(ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Optio
         });
         match problem_of(scene, Act::Open) {
             Some(problem) => style::problem(ui, problem),
+            None if ui.available_width() < LEAST_WIDTH_OF_ZONE => {
+                small(ui, "A volume, a folder of slices or a saved view. Or drop it on this window.");
+            }
             None => {
                 small(ui, "A volume, a folder of slices or a saved view.");
                 drop_zone(ui, "or drop it on this window");
@@ -372,6 +375,8 @@ const SAMPLES: [(Builtin, &str, &[u8]); 3] = [
     (Builtin::Cloud, "Cloud", include_bytes!("samples/cloud.png")),
     (Builtin::Cubus, "Cubes", include_bytes!("samples/cubus.png")),
 ];
+/// Cards this wide have a field for dropping, points.
+const LEAST_WIDTH_OF_ZONE: f32 = 260.0;
 /// Points.
 const MOST_WIDTH_OF_SAMPLE: f32 = 128.0;
 /// Between cards, points.
