@@ -7,7 +7,7 @@ use std::time::Duration;
 use quinn::congestion::CubicConfig;
 
 use super::*;
-use crate::identity::{SERVER_NAME, pinned_tls};
+use crate::identity::{SERVER_NAME, pinned_tls, quic_client, quic_server};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -112,7 +112,7 @@ async fn bulk(network: Network) -> Arc<AtomicU64> {
         .stream_receive_window((16u32 << 20).into());
     let transport = Arc::new(transport);
     let identity = Identity::generate().expect("random numbers");
-    let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls().expect("TLS")));
+    let mut config = quic_server(identity.tls().expect("TLS")).expect("TLS");
     config.transport_config(transport.clone());
     let runtime = Arc::new(TokioRuntime);
     let server =
@@ -120,7 +120,7 @@ async fn bulk(network: Network) -> Arc<AtomicU64> {
     let client = Endpoint::new_with_abstract_socket(seeded(92), None, network.socket(to), runtime);
     let (server, client) = (server.expect("a socket"), client.expect("a socket"));
     let (tls, _) = pinned_tls(identity.fingerprint()).expect("TLS");
-    let mut config = quinn::ClientConfig::new(Arc::new(tls));
+    let mut config = quic_client(tls).expect("TLS");
     config.transport_config(transport);
     let connecting = client.connect_with(config, from, SERVER_NAME).expect("an address");
     let accepted = async { server.accept().await.expect("a connection").await };
