@@ -80,7 +80,11 @@ async fn where_udp_does_not_come_through_the_session_runs_over_tcp() {
     assert_frames(&client, 1..20, Carrier::Tcp).await;
     // The stream breaks: the viewer comes back over the same way, as the same viewer.
     firewall.break_streams();
-    until("the loss", || matches!(client.state(), State::Reconnecting { .. }).then_some(())).await;
+    let lost = until("the loss", || match client.state() {
+        State::Reconnecting { problem, .. } => Some(problem.to_string()),
+        _ => None,
+    });
+    assert!(lost.await.contains("the TCP stream broke"));
     assert_frames(&client, 20..30, Carrier::Tcp).await;
     // The control: where UDP comes through, it carries the session.
     let client = connect(&direct);
@@ -108,7 +112,7 @@ async fn a_slow_link_over_tcp_shows_new_frames() {
 /// A command that joins its input and output with a port of this machine.
 fn joined_with(port: u16) -> Command {
     let mut command = Command::new("bash");
-    command.arg("-c").arg(format!("exec 3<>/dev/tcp/127.0.0.1/{port}; cat <&3 & cat >&3; kill $!"));
+    command.arg("-c").arg(format!("exec 3<>/dev/tcp/127.0.0.1/{port}; cat <&3 & cat >&3"));
     command
 }
 

@@ -72,7 +72,7 @@ impl CarrierSocket {
         while n < bufs.len().min(meta.len()) {
             match queue.poll_recv(cx) {
                 Poll::Ready(Some((addr, packet))) => {
-                    n += usize::from(put(packet, addr, &mut bufs[n], &mut meta[n]))
+                    n += usize::from(put(packet, addr, &mut bufs[n], &mut meta[n]));
                 }
                 Poll::Ready(None) if n == 0 && self.udp.is_none() => {
                     return Poll::Ready(Err(io::ErrorKind::UnexpectedEof.into()));

@@ -174,8 +174,11 @@ async fn receive(mut read: impl AsyncRead + Unpin, end: &StreamEnd) -> io::Resul
     let mut bytes = BytesMut::new();
     loop {
         while let Some(length) = bytes.first_chunk().map(|prefix| usize::from(u16::from_be_bytes(*prefix)))
-            && bytes.len() >= 2 + length
+            && bytes.len() >= 2 + length.min(MAX_PACKET_BYTES)
         {
+            if length > MAX_PACKET_BYTES {
+                return Err(io::Error::other("a packet is longer than any of QUIC's"));
+            }
             bytes.advance(2);
             let packet = bytes.split_to(length).freeze();
             if end.door.received.send((end.address, packet)).await.is_err() {
@@ -191,6 +194,8 @@ async fn receive(mut read: impl AsyncRead + Unpin, end: &StreamEnd) -> io::Resul
 
 /// Packets that wait for a stream. Congestion control bounds them long before, unless the stream stands still.
 const MAX_WAITING_BYTES: usize = 4 << 20;
+/// Longest packet that is read; those of QUIC have at most 1472 bytes here.
+const MAX_PACKET_BYTES: usize = 2048;
 /// Room for a read.
 const READ_BYTES: usize = 64 << 10;
 /// Packets of all streams that wait to be read; then the streams wait.
@@ -251,6 +256,22 @@ mod tests {
             carry(here, end).await.unwrap();
             assert_eq!(reading.await.unwrap().unwrap(), waiting);
             assert!(near.streams.lock().is_empty());
+        });
+    }
+
+    #[test]
+    fn a_packet_longer_than_any_ends_its_stream() {
+        runtime().block_on(async {
+            for (length, is_taken) in [(MAX_PACKET_BYTES, true), (MAX_PACKET_BYTES + 1, false)] {
+                let (here, mut there) = tokio::io::duplex(1 << 16);
+                let (door, mut received) = door();
+                let carrying = tokio::spawn(carry(here, door.add(address(1))));
+                let _ = there.write_u16(length as u16).await;
+                let _ = there.write_all(&vec![0; length]).await;
+                let _ = there.shutdown().await;
+                assert_eq!(carrying.await.unwrap().is_ok(), is_taken);
+                assert_eq!(received.try_recv().is_ok(), is_taken);
+            }
         });
     }
 

@@ -257,6 +257,10 @@ impl Dialer {
                 }
             }
             ConnectionError::LocallyClosed => ConnectError::Lost("it was closed here".into()),
+            // Nothing else ends a connection so: its socket has failed.
+            ConnectionError::TransportError(e) if e.code == TransportErrorCode::INTERNAL_ERROR => {
+                ConnectError::Lost(format!("the {} stream broke", self.carrier))
+            }
             other => ConnectError::Lost(other.to_string()),
         }
     }
