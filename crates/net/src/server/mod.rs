@@ -1,6 +1,7 @@
 //! The server: it admits viewers and hands out one [`Session`] for each connection.
 
 mod frames;
+mod known_paths;
 mod pending_hellos;
 mod session;
 mod stranger_log;
@@ -36,6 +37,7 @@ use crate::identity::{Fingerprint, Identity, IdentityError, quic_server, random_
 use crate::link::Link;
 use crate::transport;
 
+use known_paths::KnownPaths;
 use pending_hellos::{MAX_PENDING, PendingHellos};
 use stranger_log::StrangerLog;
 
@@ -120,6 +122,7 @@ struct ServerShared {
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
     pending: Arc<PendingHellos>,
+    known_paths: KnownPaths,
     strangers: StrangerLog,
     /// Connections that came to nothing.
     refusals: Arc<AtomicU64>,
@@ -190,6 +193,7 @@ impl Server {
             greeting: Mutex::new(greeting),
             doors: Mutex::default(),
             pending: Arc::default(),
+            known_paths: KnownPaths::default(),
             strangers: StrangerLog::default(),
             refusals: Arc::default(),
             left: Arc::default(),
@@ -282,10 +286,13 @@ impl Drop for Server {
 
 impl ServerShared {
     /// The configuration of one connection.
-    fn config_with(&self, gauge: Arc<LinkGauge>) -> Arc<quinn::ServerConfig> {
+    fn config_with(&self, gauge: Arc<LinkGauge>, remote: SocketAddr) -> Arc<quinn::ServerConfig> {
         let congestion = match &self.other_congestion {
             Some(OtherCongestion(other)) => other.clone(),
-            None => Arc::new(DelayConfig { gauge, ..DelayConfig::default() }),
+            None => {
+                let first_window_bytes = self.known_paths.first_window_bytes(remote.ip(), Instant::now());
+                Arc::new(DelayConfig { gauge, first_window_bytes })
+            }
         };
         let mut config = self.config.clone();
         config.transport_config(Arc::new(transport::server(congestion)));
@@ -379,7 +386,7 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
     let remote = incoming.remote_address();
     let gauge = Arc::<LinkGauge>::default();
     let greeted = async {
-        let connecting = incoming.accept_with(shared.config_with(gauge.clone()));
+        let connecting = incoming.accept_with(shared.config_with(gauge.clone(), remote));
         let connection = connecting.map_err(|e| e.to_string())?.await.map_err(|e| e.to_string())?;
         let guard = CloseUnlessKept(Some(connection.clone()));
         let (send, mut recv) = connection.accept_bi().await.map_err(|e| e.to_string())?;

@@ -115,7 +115,7 @@ impl Drop for Seat {
 }
 
 /// The network of one owner: an IPv4 address, or 64 bits of IPv6.
-fn place_of(address: IpAddr) -> IpAddr {
+pub(super) fn place_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(six) if !six.is_loopback() => {
             IpAddr::V6(Ipv6Addr::from_bits(six.to_bits() & !u128::from(u64::MAX)))

@@ -167,6 +167,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         // When any of these ends, the rest ends with it. A closed connection keeps its own reason.
         connection.close(transport::CLOSE_PROTOCOL, b"the control stream ended");
         let reason = connection.closed().await;
+        place.shared.known_paths.note(remote.ip(), Instant::now(), &link.gauge);
         tracing::info!("viewer gone: {reason}");
     };
     serving.instrument(span).await;

@@ -257,6 +257,31 @@ fn viewers_share_a_link_fairly() {
     );
 }
 
+/// A viewer comes for the first time, and then again: its ages in the first two seconds, ms.
+fn ages_at_first(model: &LinkModel) -> [f64; 2] {
+    in_virtual_time(async {
+        let mut world = World::new(model, None);
+        let links = world.serve(2, Renderer::default());
+        let mut ages = [0.0; 2];
+        for (link, age) in links.iter().zip(&mut ages) {
+            let client = world.viewer(link);
+            let shown = model::view(client, 8 * SECOND, Duration::ZERO).await;
+            *age = shown.age(0.5, 0.0, 2e3);
+            tokio::time::sleep(SECOND).await;
+        }
+        ages
+    })
+}
+
+#[test]
+fn a_session_starts_with_what_the_last_one_showed() {
+    for (mbit, rtt_ms) in [(20.0, 40), (50.0, 150), (100.0, 300)] {
+        let [stranger, known] = ages_at_first(&link_model(mbit, rtt_ms, 0.0));
+        println!("{mbit} Mbit/s, {rtt_ms} ms: {stranger:.0} ms at first, {known:.0} ms when it comes again");
+        assert!(known <= stranger + 1.0, "{known} {stranger}");
+    }
+}
+
 #[test]
 fn the_same_seed_is_the_same_run() {
     let model = |seed| LinkModel { seed, ..link_model(20.0, 40, 0.01) };
