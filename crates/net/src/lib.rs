@@ -19,7 +19,7 @@ mod talk;
 mod transport;
 mod work;
 
-pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State};
+pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State, Tunnel};
 pub use clock::Clock;
 pub use conditioner::LinkModel;
 pub use identity::{Fingerprint, Identity, random_token};

@@ -38,6 +38,9 @@ use crate::work::AfterWork;
 pub use error::ConnectError;
 use status::{Status, StatusBoard};
 
+/// Makes a command whose standard input and output are the bytes of a TCP connection to the server's port.
+pub type Tunnel = Arc<dyn Fn() -> std::process::Command + Send + Sync>;
+
 /// Options of a client.
 #[derive(Clone)]
 pub struct ClientOptions {
@@ -47,6 +50,8 @@ pub struct ClientOptions {
     pub conditioner: Option<LinkModel>,
     /// Clock of all stamps.
     pub clock: Clock,
+    /// Another way to the server, where neither UDP nor TCP reaches it.
+    pub tunnel: Option<Tunnel>,
     /// Hook after decoding.
     pub after_work: AfterWork,
     /// Called on a thread of the client for each new frame or state. Must return at once.
@@ -59,6 +64,7 @@ impl Default for ClientOptions {
         Self {
             name,
             conditioner: None,
+            tunnel: None,
             clock: Clock::start(),
             after_work: AfterWork::default(),
             wake: Arc::new(|| {}),
@@ -71,6 +77,7 @@ impl std::fmt::Debug for ClientOptions {
         f.debug_struct("ClientOptions")
             .field("name", &self.name)
             .field("conditioner", &self.conditioner)
+            .field("has_tunnel", &self.tunnel.is_some())
             .finish_non_exhaustive()
     }
 }
