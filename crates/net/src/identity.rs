@@ -5,7 +5,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use isinglass_core::wire::{ALPN, Token};
+use isinglass_core::wire::{ALPN, ALPN_ANY, Token};
 use ring::rand::{SecureRandom, SystemRandom};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::{
@@ -63,7 +63,7 @@ impl Identity {
             .with_no_client_auth()
             .with_single_cert(vec![self.certificate.clone()], key)
             .map_err(tls_error)?;
-        config.alpn_protocols = vec![ALPN.to_vec()];
+        config.alpn_protocols = vec![ALPN.to_vec(), ALPN_ANY.to_vec()];
         // TLS tickets would be a second way in; ours travel on the control stream.
         config.send_tls13_tickets = 0;
         Ok(Arc::new(config))
@@ -141,7 +141,7 @@ pub fn pinned_tls(
         .dangerous()
         .with_custom_certificate_verifier(Arc::new(verifier))
         .with_no_client_auth();
-    config.alpn_protocols = vec![ALPN.to_vec()];
+    config.alpn_protocols = vec![ALPN.to_vec(), ALPN_ANY.to_vec()];
     config.resumption = rustls::client::Resumption::disabled();
     Ok((Arc::new(config), mismatch))
 }

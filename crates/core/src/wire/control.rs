@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, Profile,
-    ProfileRequest, ScreenshotRequest, Token, WantedSlices,
+    ProfileRequest, ScreenshotRequest, Token, WantedSlices, version::older_side,
 };
 use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
@@ -191,7 +191,7 @@ pub enum Refusal {
     TokenUsed,
     /// The versions differ.
     #[error(
-        "the server speaks protocol version {server}, this viewer {client}; install the same version on both"
+        "the server speaks protocol version {server}, this viewer {client}: update {}", older_side(*server, *client)
     )]
     Version {
         /// The server's version.

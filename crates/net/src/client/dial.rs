@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use isinglass_core::text::printable;
 use isinglass_core::wire::control::hello;
-use isinglass_core::wire::{Refusal, ServerMessage, Token};
+use isinglass_core::wire::{PROTOCOL_VERSION, Refusal, ServerMessage, Token, version_in_notice};
 use quinn::{
     AsyncUdpSocket, Connection, ConnectionError, Endpoint, EndpointConfig, RecvStream, Runtime, SendStream,
     TokioRuntime, TransportErrorCode,
@@ -87,6 +87,10 @@ impl Dialer {
 
     pub(super) async fn dial(&mut self, shared: &Arc<Shared>) -> Result<Dialed, ConnectError> {
         let Connected { endpoint, connection, carrier } = self.shake_hands(shared).await?;
+        if transport::has_no_common_version(&connection) {
+            let told = timeout(AUTH_DEADLINE, connection.closed()).await;
+            return Err(told.map_or(ConnectError::Version, |reason| self.explain(&reason)));
+        }
         let hello = hello(self.token.clone(), self.instance.clone(), &self.name);
         let greeting = async {
             let (mut send, mut recv) = connection.open_bi().await.map_err(|e| self.explain(&e))?;
@@ -252,6 +256,12 @@ impl Dialer {
                 match close.error_code {
                     transport::CLOSE_REPLACED => ConnectError::Replaced,
                     transport::CLOSE_REFUSED => ConnectError::Refused(Refusal::Protocol(reason)),
+                    transport::CLOSE_VERSION => match version_in_notice(&close.reason) {
+                        Some(server) => {
+                            ConnectError::Refused(Refusal::Version { server, client: PROTOCOL_VERSION })
+                        }
+                        None => ConnectError::Version,
+                    },
                     _ if reason.is_empty() => ConnectError::Lost("the server has closed it".into()),
                     _ => ConnectError::Lost(reason),
                 }

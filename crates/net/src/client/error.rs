@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use isinglass_core::wire::Refusal;
+use isinglass_core::wire::{PROTOCOL_VERSION, Refusal};
 
 use crate::identity::Fingerprint;
 use crate::link::place_of;
@@ -44,8 +44,10 @@ pub enum ConnectError {
         /// Fingerprint of the server.
         found: Fingerprint,
     },
-    /// The server speaks no version that this client knows.
-    #[error("the server does not speak this viewer's protocol; install the same version on both")]
+    /// The server speaks another version and does not say which, so it is from before servers did.
+    #[error(
+        "the server speaks an older protocol version than this viewer ({PROTOCOL_VERSION}): update the server's isinglass"
+    )]
     Version,
     /// The server refuses.
     #[error("{0}")]

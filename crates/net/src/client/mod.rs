@@ -79,6 +79,7 @@ impl std::fmt::Debug for ClientOptions {
         f.debug_struct("ClientOptions")
             .field("name", &self.name)
             .field("conditioner", &self.conditioner)
+            .field("has_tunnel", &self.tunnel.is_some())
             .finish_non_exhaustive()
     }
 }

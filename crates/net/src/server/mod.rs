@@ -21,7 +21,10 @@ use isinglass_core::session::admission::{Admission, ViewerId};
 use isinglass_core::session::chunks::CONTROL_PRIORITY;
 use isinglass_core::session::pose::MAX_POSES_PER_SECOND;
 use isinglass_core::session::server::violation;
-use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
+use isinglass_core::wire::{
+    ClientMessage, PROTOCOL_VERSION, Refusal, ServerMessage, Token, VolumeDescription, Welcome,
+    version_notice,
+};
 use quinn::congestion::ControllerFactory;
 use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, Runtime, SendStream, TokioRuntime};
 use tokio::sync::{Notify, mpsc};
@@ -389,6 +392,10 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
         let connecting = incoming.accept_with(shared.config_with(gauge.clone(), remote));
         let connection = connecting.map_err(|e| e.to_string())?.await.map_err(|e| e.to_string())?;
         let guard = CloseUnlessKept(Some(connection.clone()));
+        if transport::has_no_common_version(&connection) {
+            connection.close(transport::CLOSE_VERSION, version_notice());
+            return Err(format!("a viewer of another protocol version than {PROTOCOL_VERSION}"));
+        }
         let (send, mut recv) = connection.accept_bi().await.map_err(|e| e.to_string())?;
         let _ = send.set_priority(CONTROL_PRIORITY);
         let hello = control_stream::receive::<ClientMessage>(&mut recv).await;
