@@ -9,6 +9,7 @@ mod clip_args;
 mod commands;
 mod config;
 mod given;
+mod identity_file;
 mod lens_args;
 mod library;
 mod light_args;
