@@ -136,10 +136,7 @@ pub(crate) async fn until<T>(what: &str, mut probe: impl FnMut() -> Option<T>) -
 }
 
 /// Waits until the client has all of a frame that answers this pose.
-pub(crate) async fn until_answered(
-    client: &Client,
-    pose: PoseId,
-) -> Arc<isinglass_net::ReceivedFrame> {
+pub(crate) async fn until_answered(client: &Client, pose: PoseId) -> Arc<isinglass_net::ReceivedFrame> {
     until("an answer", || client.latest_frame().filter(|f| f.frame.header.pose == pose)).await
 }
 

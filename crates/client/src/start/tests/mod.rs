@@ -158,6 +158,7 @@ impl Stage {
         let servers = Arc::new(servers);
         let services = Services {
             servers: servers.clone(),
+            remote: None,
             recent_file: Some(folder.path().join("recent.toml")),
             has_system_dialog: false,
             calendar: || 1_000_000,
