@@ -40,7 +40,7 @@ pub enum RecentPlace {
     Server {
         /// Name or address.
         host: String,
-        /// UDP port.
+        /// UDP and TCP port.
         port: u16,
     },
     /// A volume on another machine, for which a server is started there.

@@ -53,7 +53,8 @@ impl Identity {
         Fingerprint::of(&self.certificate)
     }
 
-    pub(crate) fn tls(&self) -> Result<quinn::crypto::rustls::QuicServerConfig, IdentityError> {
+    /// The TLS of a server, for QUIC and for streams.
+    pub(crate) fn tls(&self) -> Result<Arc<rustls::ServerConfig>, IdentityError> {
         let key = PrivateKeyDer::Pkcs8(self.key.clone_key());
         let tls_error = |e: rustls::Error| IdentityError::Tls(e.to_string());
         let mut config = rustls::ServerConfig::builder_with_provider(Arc::new(default_provider()))
@@ -65,8 +66,7 @@ impl Identity {
         config.alpn_protocols = vec![ALPN.to_vec(), ALPN_ANY.to_vec()];
         // TLS tickets would be a second way in; ours travel on the control stream.
         config.send_tls13_tickets = 0;
-        quinn::crypto::rustls::QuicServerConfig::try_from(config)
-            .map_err(|e| IdentityError::Tls(e.to_string()))
+        Ok(Arc::new(config))
     }
 }
 
@@ -131,7 +131,7 @@ pub fn random_token() -> Result<Token, IdentityError> {
 /// If TLS cannot be set up.
 pub fn pinned_tls(
     expected: Fingerprint,
-) -> Result<(quinn::crypto::rustls::QuicClientConfig, Arc<Mismatch>), IdentityError> {
+) -> Result<(Arc<rustls::ClientConfig>, Arc<Mismatch>), IdentityError> {
     let provider = Arc::new(default_provider());
     let mismatch = Arc::new(Mismatch::default());
     let verifier = PinnedVerifier::new(expected, &provider, mismatch.clone());
@@ -143,9 +143,24 @@ pub fn pinned_tls(
         .with_no_client_auth();
     config.alpn_protocols = vec![ALPN.to_vec(), ALPN_ANY.to_vec()];
     config.resumption = rustls::client::Resumption::disabled();
-    let config = quinn::crypto::rustls::QuicClientConfig::try_from(config)
-        .map_err(|e| IdentityError::Tls(e.to_string()))?;
-    Ok((config, mismatch))
+    Ok((Arc::new(config), mismatch))
+}
+
+/// The settings of QUIC for a server with this TLS.
+pub(crate) fn quic_server(tls: Arc<rustls::ServerConfig>) -> Result<quinn::ServerConfig, IdentityError> {
+    let tls = quinn::crypto::rustls::QuicServerConfig::try_from(tls);
+    let tls = tls.map_err(|e| IdentityError::Tls(e.to_string()))?;
+    Ok(quinn::ServerConfig::with_crypto(Arc::new(tls)))
+}
+
+/// The settings of QUIC for a client with this TLS.
+///
+/// # Errors
+/// If TLS lacks what QUIC needs.
+pub fn quic_client(tls: Arc<rustls::ClientConfig>) -> Result<quinn::ClientConfig, IdentityError> {
+    let tls = quinn::crypto::rustls::QuicClientConfig::try_from(tls);
+    let tls = tls.map_err(|e| IdentityError::Tls(e.to_string()))?;
+    Ok(quinn::ClientConfig::new(Arc::new(tls)))
 }
 
 /// The fingerprint of a server that showed another certificate than expected.

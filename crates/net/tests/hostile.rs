@@ -11,7 +11,7 @@ use common::*;
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::wire::control::{self, hello};
 use isinglass_core::wire::{ALPN, ClientMessage, PROTOCOL_VERSION, Refusal, ServerMessage, Token};
-use isinglass_net::identity::pinned_tls;
+use isinglass_net::identity::{pinned_tls, quic_client};
 use isinglass_net::{
     BindError, ConnectError, Fingerprint, Identity, Link, Server, ServerOptions, State, random_token,
 };
@@ -31,7 +31,7 @@ async fn raw(link: &Link) -> Raw {
     let (tls, _) = pinned_tls(link.fingerprint).unwrap();
     let endpoint = Endpoint::client(([127, 0, 0, 1], 0).into()).unwrap();
     let address: SocketAddr = ([127, 0, 0, 1], link.port).into();
-    let config = quinn::ClientConfig::new(Arc::new(tls));
+    let config = quic_client(tls).unwrap();
     let connection = endpoint.connect_with(config, address, "isinglass").unwrap().await.unwrap();
     let (send, recv) = connection.open_bi().await.unwrap();
     Raw { _endpoint: endpoint, connection, send, recv }

@@ -283,6 +283,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let round_trip = is_connected.then(|| micros(stats.rtt_micros)).flatten();
         OverlayModel {
             state,
+            carrier: stats.carrier,
             standing: refresh.standing,
             silence: is_silent.then(|| Duration::from_micros(stats.silence_micros)),
             round_trip,

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use egui::{Align2, Color32, RichText, Ui, vec2};
-use isinglass_net::State;
+use isinglass_net::{Carrier, State};
 use lucide_icons::Icon;
 
 use super::style::{self, bright, icon, pane_at, quiet};
@@ -15,6 +15,8 @@ use crate::view::viewing::Standing;
 pub struct OverlayModel {
     /// The connection.
     pub state: State,
+    /// What carries its packets.
+    pub carrier: Carrier,
     /// How the picture relates to the server's.
     pub standing: Standing,
     /// How long a connected server has not answered, if it should have.
@@ -62,7 +64,7 @@ impl OverlayModel {
             ViewTime::Unknown => ("novel view", dash()),
         };
         vec![
-            ("link", state_word(&self.state).to_owned()),
+            ("link", self.link()),
             ("round trip", duration(self.round_trip)),
             ("frame age", if is_current { "current".to_owned() } else { duration(self.frame_age) }),
             ("turned by", self.turned_degrees.map_or_else(dash, |d| format!("{d:.1}°"))),
@@ -75,6 +77,11 @@ impl OverlayModel {
                 self.refreshes_per_second.map_or_else(|| "at rest".to_owned(), |f| format!("{f:.0} fps")),
             ),
         ]
+    }
+
+    fn link(&self) -> String {
+        let word = state_word(&self.state);
+        if self.state == State::Connected { format!("{word}, {}", self.carrier) } else { word.to_owned() }
     }
 
     /// One line about trouble of the connection. The last picture stays in use.
@@ -265,6 +272,7 @@ mod tests {
     fn model() -> OverlayModel {
         OverlayModel {
             state: State::Connected,
+            carrier: Carrier::Udp,
             standing: Standing::Moving,
             silence: None,
             round_trip: Some(Duration::from_millis(201)),
@@ -286,7 +294,7 @@ mod tests {
     fn every_number_is_shown_with_its_unit() {
         let m = model();
         for (name, text) in [
-            ("link", "connected"),
+            ("link", "connected, UDP"),
             ("round trip", "201 ms"),
             ("frame age", "268 ms"),
             ("turned by", "7.9°"),

@@ -25,7 +25,7 @@ use crate::state_args::StateArgs;
 pub(crate) struct ServeArgs {
     #[command(flatten)]
     state: StateArgs,
-    /// Address and UDP port to listen on; port 0 takes a free one
+    /// Address and port to listen on, over UDP and TCP; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address, default_value = "127.0.0.1:4433")]
     listen: SocketAddr,
     /// Name or address of this machine for viewers, for the link [default: the one listened on]

@@ -20,12 +20,12 @@ pub enum ConnectError {
     },
     /// Nothing came back.
     #[error(
-        "no answer from {host} on UDP port {port}: is the server running, and does a firewall block UDP?"
+        "no answer from {host} on port {port}: is the server running, and does a firewall block UDP and TCP there?"
     )]
     NoAnswer {
         /// Name or address.
         host: String,
-        /// UDP port.
+        /// UDP and TCP port.
         port: u16,
     },
     /// The certificate is not that of the link.
@@ -37,7 +37,7 @@ pub enum ConnectError {
     Certificate {
         /// Name or address.
         host: String,
-        /// UDP port.
+        /// UDP and TCP port.
         port: u16,
         /// Fingerprint in the link.
         expected: Fingerprint,
@@ -65,7 +65,7 @@ pub enum ConnectError {
     #[error("connection lost: {0}")]
     Lost(String),
     /// This machine cannot send.
-    #[error("cannot open a UDP socket: {0}")]
+    #[error("cannot open a socket: {0}")]
     Socket(String),
     /// There was no result in the given time.
     #[error("not connected within {0:?}")]

@@ -7,6 +7,7 @@
 mod chunks;
 mod connection;
 mod decode;
+mod dial;
 mod error;
 #[cfg(test)]
 pub(crate) mod model;
@@ -29,6 +30,7 @@ use isinglass_core::session::ledger::Life;
 use isinglass_core::wire::{ServerStats, Welcome};
 use tokio::sync::{Semaphore, watch};
 
+use crate::carrier::Carrier;
 use crate::clock::Clock;
 use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters};
 use crate::link::Link;
@@ -38,9 +40,6 @@ use crate::work::AfterWork;
 pub use error::ConnectError;
 use status::{Status, StatusBoard};
 
-/// Makes a command whose standard input and output are the bytes of a TCP connection to the server's port.
-pub type Tunnel = Arc<dyn Fn() -> std::process::Command + Send + Sync>;
-
 /// Options of a client.
 #[derive(Clone)]
 pub struct ClientOptions {
@@ -48,15 +47,18 @@ pub struct ClientOptions {
     pub name: String,
     /// Simulates a link with these properties.
     pub conditioner: Option<LinkModel>,
+    /// A way to the server where neither UDP nor TCP comes through.
+    pub tunnel: Option<Tunnel>,
     /// Clock of all stamps.
     pub clock: Clock,
-    /// Another way to the server, where neither UDP nor TCP reaches it.
-    pub tunnel: Option<Tunnel>,
     /// Hook after decoding.
     pub after_work: AfterWork,
     /// Called on a thread of the client for each new frame or state. Must return at once.
     pub wake: Arc<dyn Fn() + Send + Sync>,
 }
+
+/// Makes a command whose standard input and output are a TCP connection to the server's port on its own machine.
+pub type Tunnel = Arc<dyn Fn() -> std::process::Command + Send + Sync>;
 
 impl Default for ClientOptions {
     fn default() -> Self {
@@ -142,6 +144,8 @@ impl ReceivedFrame {
 /// Statistics for the overlay, on the client's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkStats {
+    /// What carries the packets.
+    pub carrier: Carrier,
     /// Round-trip time, smoothed, µs.
     pub rtt_micros: u64,
     /// Rate of received bytes over about the last second, bytes per second.
@@ -185,7 +189,7 @@ impl Client {
         if let Some(model) = &options.conditioner {
             model.validate()?;
         }
-        let dialer = connection::Dialer::new(link.clone(), &options)?;
+        let dialer = dial::Dialer::new(link.clone(), &options)?;
         let shared = Arc::new(Shared::new(options));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (done_in, done) = mpsc::sync_channel(1);
