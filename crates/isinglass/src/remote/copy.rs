@@ -66,7 +66,7 @@ fn line(bytes: u64) -> String {
     // No quote, backslash or ! is inside, which shells read differently.
     format!(
         "exec /bin/sh -c 'd=\"$HOME/.local/bin\"; n=\"$d/.isinglass.$$\"; mkdir -p \"$d\" && trap \"rm -f $n\" EXIT && cat > \"$n\" && \
-         test \"$(wc -c < \"$n\")\" -eq {bytes} && chmod 755 \"$n\" && v=$(\"$n\" --version) && mv -f \"$n\" \"$d/isinglass\" && \
+         test \"$(wc -c < \"$n\")\" -eq {bytes} && chmod 755 \"$n\" && v=$(\"$n\" --version) && test -n \"$v\" && mv -f \"$n\" \"$d/isinglass\" && \
          echo \"{DONE} $v\"'"
     )
 }

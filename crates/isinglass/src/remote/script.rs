@@ -181,7 +181,7 @@ mod tests {
         }
         let said = run(&["/bin/sh"], home.path(), "", &order("~/a b").script().unwrap());
         assert_eq!(said.last().unwrap(), &format!("{}/a b", home.path().display()));
-        assert_eq!(said[5], "127.0.0.1:0", "no way to this machine is known");
+        assert_eq!(said[6], "127.0.0.1:0", "no way to this machine is known");
         assert!(order("a\0b").script().is_err());
     }
 
@@ -193,7 +193,7 @@ mod tests {
         {
             let connection = format!("::1 5 {address} 22");
             assert_eq!(
-                run(&["/bin/sh"], home.path(), &connection, &order("a").script().unwrap())[5],
+                run(&["/bin/sh"], home.path(), &connection, &order("a").script().unwrap())[6],
                 listened
             );
         }
@@ -206,9 +206,9 @@ mod tests {
         let flags = vec!["--clip-plane=-1,0,0,2".to_owned(), "--tf=it's".to_owned()];
         let script = Order { flags, transfer, ..order("a") }.script().unwrap();
         let said = run(&["/bin/sh"], home.path(), "", &script);
-        assert_eq!(said[6..9], ["--clip-plane=-1,0,0,2", "--tf=it's", "--tf"]);
-        assert_eq!(said[10..], ["a = 'b'", "\"$c\"", "--", "a"]);
-        assert!(!Path::new(&said[9]).exists(), "the copy is gone with the script");
+        assert_eq!(said[7..10], ["--clip-plane=-1,0,0,2", "--tf=it's", "--tf"]);
+        assert_eq!(said[11..], ["a = 'b'", "\"$c\"", "--", "a"]);
+        assert!(!Path::new(&said[10]).exists(), "the copy is gone with the script");
     }
 
     #[test]

@@ -84,7 +84,9 @@ impl Ssh {
     fn connecting(&self, may_ask: bool, line: &str) -> Command {
         let mut command = self.plain();
         command.arg("-T");
-        let mut option = |text: &str| drop(command.args(["-o", text]));
+        let mut option = |text: &str| {
+            command.args(["-o", text]);
+        };
         option("RemoteCommand=none");
         option("ClearAllForwardings=yes");
         // A connection that has died must not keep the next command waiting.

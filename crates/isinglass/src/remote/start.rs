@@ -1,6 +1,5 @@
 //! One try to start a server on another machine, and what comes back.
 
-use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, ExitStatus, Stdio};
 use std::sync::mpsc;
@@ -111,7 +110,7 @@ impl Complaints {
         let (sender, receiver) = mpsc::channel();
         let (told, stderr) = (*told, child.stderr.take());
         thread::spawn(move || {
-            let (mut complaint, mut kept) = (None, VecDeque::new());
+            let (mut complaint, mut last) = (None, None);
             for line in stderr.into_iter().flat_map(|stderr| BufReader::new(stderr).split(b'\n')) {
                 let Ok(line) = line else { break };
                 // A server there that one does not trust yet must not rewrite the terminal.
@@ -122,10 +121,10 @@ impl Complaints {
                     None if line.is_empty() => {}
                     None => {
                         told.line(line);
-                        kept = VecDeque::from([line.to_owned()]);
+                        last = Some(line.to_owned());
                     }
                 }
-                let _ = sender.send((complaint.clone(), kept.back().cloned()));
+                let _ = sender.send((complaint.clone(), last.clone()));
             }
         });
         Self(receiver)

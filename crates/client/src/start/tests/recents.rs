@@ -142,7 +142,8 @@ fn a_source_that_is_forgotten_leaves_no_picture() {
             .unwrap();
     let place = RecentPlace::Server { host: "far".into(), port: 4433 };
     for is_forgotten in [false, true] {
-        let first = First::Connected { source: Box::new(HereSource::new()), link: link.clone() };
+        let first =
+            First::Connected { source: Box::new(HereSource::new()), link: link.clone(), remote: None };
         let mut stage = Stage::begun_with(first, |_| Recent::default());
         let pictures = stage.folder.path().join("pictures");
         // Another window's.
