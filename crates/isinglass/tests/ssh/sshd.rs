@@ -92,6 +92,14 @@ impl Sshd {
 
     /// Ends it and all its connections.
     pub(crate) fn end(&mut self) {
+        for process in fs::read_dir("/proc").unwrap() {
+            let process = process.unwrap();
+            let Ok(stat) = fs::read_to_string(process.path().join("stat")) else { continue };
+            let parent = stat.rsplit(") ").next().and_then(|fields| fields.split(' ').nth(1)?.parse().ok());
+            if parent == Some(self.process.0.id()) {
+                Command::new("kill").arg("-KILL").arg(process.file_name()).status().unwrap();
+            }
+        }
         let _ = self.process.0.kill();
         let _ = self.process.0.wait();
     }
