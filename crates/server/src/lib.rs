@@ -6,6 +6,7 @@
 //! that the coder and the network are free when it is done. None is made for a pose that has been answered. At rest
 //! the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
+mod audience;
 mod company;
 mod counters;
 mod frame_memory;
@@ -33,6 +34,7 @@ use isinglass_render::Backend;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
+use audience::Audience;
 use frame_memory::FrameMemory;
 use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
@@ -172,6 +174,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         slice_makers,
         memory,
         counters: counters.clone(),
+        audience: Audience::default(),
     };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);

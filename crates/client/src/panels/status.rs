@@ -115,6 +115,7 @@ impl Standing {
             Self::Waiting => "waiting",
             Self::Moving => "moving",
             Self::Refining => "refining",
+            Self::Following => "following",
             Self::Offline => "offline",
             Self::Settled => "settled",
             Self::Exact => "exact",
@@ -127,6 +128,7 @@ impl Standing {
             Self::Waiting => "There is no picture yet.",
             Self::Moving => "Drawn here, at once, from the newest layered frame.",
             Self::Refining => "The server's frame for this view is on its way.",
+            Self::Following => "Drawn here from the pictures of the person that you follow.",
             Self::Offline => "Drawn here from the last frame that came: there is no connection.",
             Self::Settled => {
                 "The server's whole frame for this view, at another size than the window's or for two eyes."
@@ -224,7 +226,7 @@ pub(crate) fn connection_dot(ui: &mut Ui, state: &State, is_silent: bool) {
 fn color(ui: &Ui, standing: Standing) -> Color32 {
     match standing {
         Standing::Exact | Standing::Settled => style::done(ui.ctx()),
-        Standing::Moving | Standing::Refining => style::accent(ui.ctx()),
+        Standing::Moving | Standing::Refining | Standing::Following => style::accent(ui.ctx()),
         Standing::Offline => style::amber(ui.ctx()),
         Standing::Waiting => quiet(ui.ctx()),
     }

@@ -24,8 +24,8 @@ mod vectors;
 mod version;
 
 pub use control::{
-    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange,
-    VolumeDescription, Welcome,
+    ClientMessage, ClientStats, ControlError, MAX_VIEWERS, Refusal, ServerMessage, ServerStats, ViewerEntry,
+    VolumeChange, VolumeDescription, Welcome,
 };
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};

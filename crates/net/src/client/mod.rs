@@ -43,7 +43,7 @@ use status::{Status, StatusBoard};
 /// Options of a client.
 #[derive(Clone)]
 pub struct ClientOptions {
-    /// Name of this client, for the server's log.
+    /// Name of this client, for the server's log and its other viewers: that of the user.
     pub name: String,
     /// Simulates a link with these properties.
     pub conditioner: Option<LinkModel>,
@@ -62,7 +62,9 @@ pub type Tunnel = Arc<dyn Fn() -> std::process::Command + Send + Sync>;
 
 impl Default for ClientOptions {
     fn default() -> Self {
-        let name = concat!("isinglass ", env!("CARGO_PKG_VERSION")).into();
+        let mut users = ["USER", "USERNAME"].into_iter().filter_map(|key| std::env::var(key).ok());
+        let name = users.find(|name| !name.is_empty());
+        let name = name.unwrap_or_else(|| concat!("isinglass ", env!("CARGO_PKG_VERSION")).into());
         Self {
             name,
             conditioner: None,
