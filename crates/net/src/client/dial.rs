@@ -168,14 +168,13 @@ impl Dialer {
     /// Tries UDP at all addresses of the host, each a quarter of a second after the previous one, and the other ways
     /// later; the first answer counts.
     async fn shake_hands(&self, shared: &Arc<Shared>) -> Result<Connected, ConnectError> {
-        let Link { host, port, .. } = &self.link;
-        let resolve = |problem: String| ConnectError::Resolve { host: host.clone(), problem };
-        let found = timeout(AUTH_DEADLINE, tokio::net::lookup_host((host.as_str(), *port)));
-        let found = found.await.map_err(|_| resolve("no answer from the name service".into()))?;
-        let addresses: Vec<_> = found.map_err(|e| resolve(e.to_string()))?.take(MAX_ADDRESSES).collect();
-        if addresses.is_empty() {
-            return Err(resolve("it has no address".into()));
-        }
+        let port = self.link.port;
+        let (addresses, mut problem) = match self.addresses().await {
+            Ok(addresses) => (addresses, self.no_answer()),
+            // Only the other end of the tunnel may know the name.
+            Err(problem) if self.tunnel.is_some() => (Vec::new(), problem),
+            Err(problem) => return Err(problem),
+        };
         let mut attempts = JoinSet::new();
         let attempt = || Attempt {
             config: self.config.clone(),
@@ -192,9 +191,9 @@ impl Dialer {
             }
         }
         if let Some(tunnel) = &self.tunnel {
-            attempts.spawn(attempt().tunnel(self.wait_of(Carrier::Tunnel), tunnel.clone(), *port));
+            let wait = if addresses.is_empty() { Duration::ZERO } else { self.wait_of(Carrier::Tunnel) };
+            attempts.spawn(attempt().tunnel(wait, tunnel.clone(), port));
         }
-        let mut problem = self.no_answer();
         while let Some(attempt) = attempts.join_next().await {
             match attempt {
                 Ok(Ok(connected)) => {
@@ -211,6 +210,16 @@ impl Dialer {
             }
         }
         Err(problem)
+    }
+
+    /// The first addresses of the host.
+    async fn addresses(&self) -> Result<Vec<SocketAddr>, ConnectError> {
+        let Link { host, port, .. } = &self.link;
+        let resolve = |problem: String| ConnectError::Resolve { host: host.clone(), problem };
+        let found = timeout(AUTH_DEADLINE, tokio::net::lookup_host((host.as_str(), *port)));
+        let found = found.await.map_err(|_| resolve("no answer from the name service".into()))?;
+        let addresses: Vec<_> = found.map_err(|e| resolve(e.to_string()))?.take(MAX_ADDRESSES).collect();
+        if addresses.is_empty() { Err(resolve("it has no address".into())) } else { Ok(addresses) }
     }
 
     /// How long UDP alone is tried before this. What came through last is tried at once.
