@@ -1,4 +1,4 @@
-//! `view`: the viewer for a server's link, for a volume of this machine, or with a page to choose one.
+//! `view`: the viewer for a server's link, for a volume of this or another machine, or with a page to choose one.
 
 use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
@@ -8,12 +8,14 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
+use isinglass_client::{
+    CameraPath, First, RemoteServer, Waker, WindowOptions, display_available, run_window_with_start,
+};
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{
     LoadRequest, Remembered, SavedState, Selection, load_transfer, state_from_link, write_whole,
 };
-use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, state_of_link};
+use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, Tunnel, state_of_link};
 
 use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
 use crate::args::{
@@ -24,13 +26,15 @@ use crate::given::Given;
 use crate::light_args::LightArgs;
 use crate::local::{self, FirstLook};
 use crate::memory::MemoryArgs;
+use crate::remote::{self, RemoteArgs, RemoteVolume};
 use crate::state_args::StateArgs;
 use crate::window_args::WindowArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
     /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the
-    /// list of processes; or a volume of this machine, as for `serve` [default: a page to choose one]
+    /// list of processes; or a volume of this machine, as for `serve`; or one that ssh reaches, such as host:/path or
+    /// ssh://user@host:port/path, for which a server is started there [default: a page to choose one]
     #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
     target: Option<Target>,
     #[command(flatten)]
@@ -69,12 +73,16 @@ pub(crate) struct ViewerArgs {
     raw: RawArgs,
     #[command(flatten)]
     part: PartArgs,
+    #[command(flatten)]
+    remote: RemoteArgs,
 }
 
 /// The first thing to show.
 #[derive(Clone, Debug)]
 enum Target {
     Server(Link),
+    /// A volume on another machine, and the text that named it.
+    Remote(RemoteVolume, String),
     Volume(String),
     /// The state in a link that a window has copied, which names a volume of this machine.
     View(String),
@@ -108,13 +116,17 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                 "--channel, --tf, --dims and the like belong to a volume, found a link; give them to `serve`"
             );
         }
+        Some(Target::Remote(..)) => {}
+        _ if args.remote.copy => bail!("--copy belongs to a volume on another machine, such as host:/path"),
         None if is_of_volume && !of_state => {
             bail!("--channel, --tf, --dims and the like belong to a volume, found none");
         }
         _ => {}
     }
     args.look.mode()?;
-    args.look.tf.as_deref().map(load_transfer).transpose()?;
+    if !matches!(target, Some(Target::Remote(..))) {
+        args.look.tf.as_deref().map(load_transfer).transpose()?;
+    }
     let choices_file = local::choices_file();
     // A file that cannot be read is replaced by the next choice.
     let read = |file: &PathBuf| {
@@ -148,15 +160,23 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     };
     let limit = args.memory.bytes();
     let foreign_files = args.part.has_foreign_files();
+    let (target, remote, tunnel) = match target {
+        Some(Target::Remote(volume, text)) => {
+            let order = remote::order(seen.given(), args.look.tf.as_deref())?;
+            let RemoteServer { link, tunnel } = args.remote.start(&volume, order)?;
+            (Some(Target::Server(link)), Some(text), Some(tunnel))
+        }
+        target => (target, None, None),
+    };
     let request = match target {
         Some(Target::Server(link)) => {
-            let (client, waker) = connect(&link)?;
+            let (client, waker) = connect(&link, tunnel)?;
             let clock = client.clock().clone();
-            let services = local::services(args.backend.backend, limit, foreign_files, None);
+            let services = local::services(args.backend.backend, limit, foreign_files, None, args.remote);
             run_window_with_start(window, clock, services, move |wake| {
                 // There is only one window, so no waker was set before.
                 let _ = waker.set(wake);
-                Ok(First::Connected { source: Box::new(client), link })
+                Ok(First::Connected { source: Box::new(client), link, remote })
             })?;
             return write_path(args.record.as_deref(), recorder.as_deref());
         }
@@ -167,7 +187,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
             Some(seen.volume(&volume)?.volume_source()?.request(limit))
         }
-        Some(Target::Input | Target::View(_)) | None => None,
+        Some(Target::Input | Target::View(_) | Target::Remote(..)) | None => None,
     };
     match request {
         Some(request) => {
@@ -181,7 +201,8 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             // The volume's server already has the look with its flags.
             let state = window.state.map(|state| SavedState { look: None, ..state });
             let window = WindowOptions { state, ..window };
-            let services = local::services(args.backend.backend, limit, foreign_files, Some(first));
+            let services =
+                local::services(args.backend.backend, limit, foreign_files, Some(first), args.remote);
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
         }
         None => {
@@ -190,7 +211,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                     "the state was made with the server {server}: connect to that, and it is shown"
                 ));
             }
-            let services = local::services(args.backend.backend, limit, foreign_files, None);
+            let services = local::services(args.backend.backend, limit, foreign_files, None, args.remote);
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::StartPage))?;
         }
     }
@@ -206,7 +227,7 @@ fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Resu
 }
 
 /// An admitted client, and the slot for its window's waker.
-fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
+fn connect(link: &Link, tunnel: Option<Tunnel>) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     let waker = Arc::new(OnceLock::<Waker>::new());
     let wakes = waker.clone();
     let wake = Arc::new(move || {
@@ -214,7 +235,7 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
             wake();
         }
     });
-    let client = Client::connect(link, ClientOptions { wake, ..ClientOptions::default() })?;
+    let client = Client::connect(link, ClientOptions { wake, tunnel, ..ClientOptions::default() })?;
     if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
         let details = problem.details().map_or_else(String::new, |details| format!(" ({details})"));
         bail!("{}: {problem}{details}", link.place());
@@ -233,18 +254,20 @@ fn parse_target(text: &str) -> Result<Target, String> {
     if text == "-" {
         return Ok(Target::Input);
     }
+    let is_here = text.starts_with("builtin:") || Path::new(text).exists();
+    if !is_here && let Some(volume) = RemoteVolume::parse(text) {
+        return volume.map(|volume| Target::Remote(volume, text.to_owned()));
+    }
     if text.contains("://") {
         return match text.parse() {
             Ok(link) => Ok(Target::Server(link)),
             Err(e) => view_of_file(text).map(Target::View).ok_or_else(|| LinkError::to_string(&e)),
         };
     }
-    if text.starts_with("builtin:") || Path::new(text).exists() {
+    if is_here {
         return Ok(Target::Volume(text.to_owned()));
     }
-    Err(format!(
-        "there is no file '{text}'; expected a volume, or a link as `serve` prints it: isinglass://…"
-    ))
+    Err(format!("there is no file '{text}'; expected a volume, a link as `serve` prints it, or host:/path"))
 }
 
 /// The state in a link to a view of a volume of this machine.

@@ -7,7 +7,5 @@ mod model;
 mod socket;
 
 pub use model::{Direction, Fate, LinkModel, LinkModelError};
-#[cfg(test)]
-pub(crate) use socket::AlwaysWritable;
-pub(crate) use socket::{ConditionedSocket, SharedCounters};
+pub(crate) use socket::{AlwaysWritable, ConditionedSocket, SharedCounters};
 pub use socket::{DirectionCounters, LinkCounters};
