@@ -76,7 +76,8 @@ const DONE: &str = "isinglass-copied";
 /// Most lines of a login shell that are read before it.
 const MOST_LINES: usize = 1000;
 
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests {
     use std::io::Write;
 
