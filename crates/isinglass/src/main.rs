@@ -10,6 +10,7 @@ mod commands;
 mod config;
 mod detach;
 mod given;
+mod identity_file;
 mod lens_args;
 mod library;
 mod light_args;

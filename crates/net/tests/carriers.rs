@@ -17,13 +17,12 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::sync::watch;
 
-/// A place in front of a server through which TCP comes, and UDP does not.
+/// A place in front of a server through which TCP comes, and UDP only if it is let.
 struct Firewall {
     port: u16,
-    /// UDP goes nowhere.
-    _udp: UdpSocket,
     broken: watch::Sender<u32>,
     lets_tcp: Arc<AtomicBool>,
+    lets_udp: Arc<AtomicBool>,
 }
 
 impl Firewall {
@@ -31,6 +30,8 @@ impl Firewall {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
         let udp = UdpSocket::bind(("127.0.0.1", port)).await.unwrap();
+        let lets_udp = Arc::<AtomicBool>::default();
+        tokio::spawn(relay_udp(udp, server, lets_udp.clone()));
         let broken = watch::Sender::new(0);
         let lets_tcp = Arc::new(AtomicBool::new(true));
         let (breaking, is_open) = (broken.clone(), lets_tcp.clone());
@@ -49,12 +50,33 @@ impl Firewall {
                 });
             }
         });
-        Self { port, _udp: udp, broken, lets_tcp }
+        Self { port, broken, lets_tcp, lets_udp }
     }
 
     /// Breaks all streams.
     fn break_streams(&self) {
         self.broken.send_modify(|times| *times += 1);
+    }
+}
+
+/// Relays the packets of one viewer both ways while they are let.
+async fn relay_udp(near: UdpSocket, server: u16, lets: Arc<AtomicBool>) {
+    let far = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    let (mut up, mut down, mut viewer) = ([0; 2048], [0; 2048], None);
+    loop {
+        tokio::select! {
+            Ok((length, from)) = near.recv_from(&mut up) => {
+                viewer = Some(from);
+                if lets.load(Ordering::Relaxed) {
+                    let _ = far.send_to(&up[..length], ("127.0.0.1", server)).await;
+                }
+            }
+            Ok((length, _)) = far.recv_from(&mut down) => {
+                if let Some(viewer) = viewer.filter(|_| lets.load(Ordering::Relaxed)) {
+                    let _ = near.send_to(&down[..length], viewer).await;
+                }
+            }
+        }
     }
 }
 
@@ -88,6 +110,21 @@ async fn where_udp_does_not_come_through_the_session_runs_over_tcp() {
     // The control: where UDP comes through, it carries the session.
     let client = connect(&direct);
     assert_frames(&client, 1..5, Carrier::Udp).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn where_udp_comes_through_no_longer_tcp_takes_its_place() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    serve(server);
+    let firewall = Firewall::before(link.port).await;
+    firewall.lets_udp.store(true, Ordering::Relaxed);
+    let client = connect(&Link { port: firewall.port, ..link });
+    assert_frames(&client, 1..10, Carrier::Udp).await;
+    // From now on its packets vanish without a word.
+    firewall.lets_udp.store(false, Ordering::Relaxed);
+    assert_frames(&client, 10..20, Carrier::Tcp).await;
+    assert_eq!(client.state(), State::Connected);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,13 +1,14 @@
 //! `serve`: serves a volume to viewers.
 
 use std::net::{Ipv6Addr, SocketAddr, ToSocketAddrs};
+use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_net::Link;
+use isinglass_net::{Identity, Link};
 use isinglass_server::{Attendance, ServeOptions, Timing};
 use serde_json::json;
 use tokio::time::Instant;
@@ -15,6 +16,7 @@ use tokio::time::Instant;
 use crate::args::{BackendArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
 use crate::detach;
 use crate::given::Given;
+use crate::identity_file;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
 use crate::metrics::{self, parse_loopback};
@@ -47,6 +49,9 @@ pub(crate) struct ServeArgs {
     /// Show only this part: viewers cannot choose another channel, time, level or series
     #[arg(long)]
     fixed: bool,
+    /// Keep this server's certificate and key in a file, so that its fingerprint stays [default: new ones at each start]
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
     /// Answer GET /metrics with numbers for Prometheus at this address, on loopback only
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_loopback)]
     metrics: Option<SocketAddr>,
@@ -100,9 +105,11 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         library: (!args.fixed).then_some(opened.library),
         timing: Timing::default(),
     };
+    let identity =
+        args.identity.as_deref().map_or_else(|| Ok(Identity::generate()?), identity_file::read_or_make)?;
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
     let served = runtime.block_on(async {
-        let server = isinglass_server::start(options)?;
+        let server = isinglass_server::start_as(&identity, options)?;
         let address = server.address();
         let end = if args.detached { format!("`kill {}`", std::process::id()) } else { "Ctrl-C".into() };
         note(&format!("serving {source} at {address} on {description}; each link lets in one viewer; {end} ends it"));

@@ -52,6 +52,7 @@ pub(super) const SETTINGS: &[Known] = &[
     serve("network", "host", "host"),
     serve("network", "viewers", "viewers"),
     serve("network", "rate", "rate"),
+    serve("network", "identity", "identity"),
     server("coding", "codec", "codec"),
     server("coding", "quality", "quality"),
     server("render", "backend", "backend"),
