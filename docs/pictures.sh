@@ -57,7 +57,8 @@ bonsai=(bonsai.nrrd --state "$home/bonsai.toml" --clip-box=-88,88,-128,120,-104,
 open() {
     local size=$1
     shift
-    Xvfb -displayfd 3 -screen 0 "${size}x24" >/dev/null 2>&1 &
+    # Without `-noreset`, a server starts anew whenever its last client leaves.
+    Xvfb -noreset -displayfd 3 -screen 0 "${size}x24" >/dev/null 2>&1 &
     jobs_to_end+=($!)
     read -r number <&3
     export DISPLAY=:$number
@@ -72,13 +73,13 @@ close() {
     jobs_to_end=()
 }
 
-# Waits until the window has not changed for ten seconds, and is not black.
+# Waits until the window has not changed for ten seconds, and is not black. The status line may tell another round trip.
 settle() {
     local before="" now same=0
     for _ in $(seq 150); do
         sleep 2
         kill -0 "${jobs_to_end[1]}" || { cat "$home/log"; exit 1; }
-        now=$(import -window root -gravity southeast -crop 80x70%+0+0 rgb:- | md5sum)
+        now=$(import -window root -gravity southeast -crop 80x70%+0+28 rgb:- | md5sum)
         if [ "$now" = "$before" ]; then same=$((same + 1)); else same=0; fi
         before=$now
         if [ $same -ge 5 ] && [ "$(import -window root -format '%k' info:)" -gt 64 ]; then return; fi

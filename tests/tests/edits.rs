@@ -11,9 +11,9 @@ use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::look::Look;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::transfer::Domain;
-use isinglass_core::volume::Histogram;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_formats::default_transfer;
+use isinglass_core::volume::{Histogram, Volume};
+use isinglass_formats::{OpenOptions, default_transfer, open};
 use isinglass_net::{Client, ClientOptions};
 use isinglass_render::Backend;
 use isinglass_server::{ServeOptions, Timing, start};
@@ -22,14 +22,19 @@ use isinglass_server::{ServeOptions, Timing, start};
 struct Seen {
     num_lists: usize,
     is_exact: bool,
+    /// Time since the edit.
+    after: Duration,
 }
 
-/// Shows shells until it is exact, and then makes edits, `pause` apart. Returns what was seen after each.
-fn play(picture: Intrinsics, edits: &[fn(&mut Look)], pause: Option<Duration>) -> Vec<Vec<Seen>> {
+/// Shows a volume until it is exact, and then makes edits, `pause` apart. Returns what was seen after each.
+fn play(
+    (volume, look): (Volume, Look),
+    picture: Intrinsics,
+    edits: &[fn(&mut Look)],
+    pause: Option<Duration>,
+) -> Vec<Vec<Seen>> {
     let mut threads = tokio::runtime::Builder::new_multi_thread();
     let runtime = threads.worker_threads(2).enable_all().build().unwrap();
-    let volume = Builtin::Shells.volume(40);
-    let look = Look::new(default_transfer("builtin:shells", &volume, &Histogram::of(&volume)));
     let bounds = volume.bounds();
     let options = ServeOptions {
         volume: Arc::new(volume),
@@ -69,7 +74,7 @@ fn play(picture: Intrinsics, edits: &[fn(&mut Look)], pause: Option<Duration>) -
             let is_new = refresh.changed && refresh.older_look_since.is_none();
             if let Some(frame) = refresh.frame.filter(|_| is_new) {
                 let num_lists = frame.frame.header.camera.intrinsics.num_pixels();
-                of_edit.push(Seen { num_lists, is_exact: frame.is_exact });
+                of_edit.push(Seen { num_lists, is_exact: frame.is_exact, after: edited.elapsed() });
             }
             let is_over = pause.is_some_and(|pause| edited.elapsed() >= pause);
             if is_over || (refresh.standing == Standing::Exact && !of_edit.is_empty()) {
@@ -79,6 +84,12 @@ fn play(picture: Intrinsics, edits: &[fn(&mut Look)], pause: Option<Duration>) -
         seen.push(of_edit);
     }
     seen
+}
+
+fn shells() -> (Volume, Look) {
+    let volume = Builtin::Shells.volume(40);
+    let look = Look::new(default_transfer("builtin:shells", &volume, &Histogram::of(&volume)));
+    (volume, look)
 }
 
 const EDITS: [fn(&mut Look); 5] = [
@@ -92,13 +103,42 @@ const EDITS: [fn(&mut Look); 5] = [
 #[test]
 fn every_edit_is_on_the_screen_and_exact_in_the_end() {
     let picture = Intrinsics::perspective(96, 64, 0.6);
-    let seen = play(picture, &EDITS, None);
+    let seen = play(shells(), picture, &EDITS, None);
     for of_edit in &seen {
         let last = of_edit.last().unwrap();
         assert!(last.is_exact && last.num_lists >= picture.num_pixels());
     }
     // Edits that follow each other too fast for whole frames are seen all the same.
     let edits: Vec<fn(&mut Look)> = (0..40).map(|i| EDITS[i % 2]).collect();
-    let seen = play(picture, &edits, Some(Duration::from_millis(120)));
+    let seen = play(shells(), picture, &edits, Some(Duration::from_millis(120)));
     assert!(seen.iter().filter(|of_edit| !of_edit.is_empty()).count() > 10, "the editor starves");
+}
+
+/// The table of docs/BENCHMARKS.md: how soon an edit is seen without a GPU.
+#[test]
+#[ignore = "measures times"]
+fn edits_table() {
+    let folder = isinglass_tests::data_dir().expect("ISINGLASS_DATA names the folder of volumes");
+    let picture = Intrinsics::perspective(944, 738, 0.7);
+    let edits: Vec<fn(&mut Look)> = (0..8).map(|i| EDITS[i % 2]).collect();
+    for name in ["bonsai.nrrd", "t1_head.nrrd", "mouse_brain.nrrd"] {
+        for ambient_occlusion in [0.0, 0.5] {
+            let volume = open(folder.join(name).to_str().unwrap(), &OpenOptions::default()).unwrap();
+            let mut look = Look::new(default_transfer(name, &volume, &Histogram::of(&volume)));
+            look.lighting.ambient_occlusion = ambient_occlusion;
+            let seen = play((volume, look), picture, &edits, None);
+            let mut first: Vec<_> = seen.iter().map(|of_edit| of_edit[0].after).collect();
+            let mut exact: Vec<_> = seen.iter().map(|of_edit| of_edit.last().unwrap().after).collect();
+            (first.sort(), exact.sort());
+            let side = (seen[0][0].num_lists as f64).sqrt();
+            println!(
+                "{name}, ambient occlusion {ambient_occlusion}: first changed picture {:.0?} to {:.0?}, about {side:.0} lists \
+                 a side; exact after {:.1?} to {:.1?}",
+                first[0],
+                first[first.len() - 1],
+                exact[0],
+                exact[exact.len() - 1]
+            );
+        }
+    }
 }

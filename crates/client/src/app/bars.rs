@@ -3,13 +3,14 @@
 use std::time::Duration;
 
 use egui::{Margin, Panel, Rect, RichText, Ui};
+use isinglass_core::wire::VolumeDescription;
 use isinglass_net::State;
 
 use super::ViewerApp;
 use crate::paint::view_aids;
 use crate::panels::status;
 use crate::panels::style::{self, bar, quiet};
-use crate::panels::text::format_duration;
+use crate::panels::text::{format_duration, format_in};
 use crate::panels::toolbar::{TOOLBAR_HEIGHT, Toolbar, ToolbarWish};
 use crate::panels::viewers;
 use crate::view::frame_source::FrameSource;
@@ -67,19 +68,21 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// One line: the volume, the people there, and the server with its round trip. Returns whom to follow.
+    /// One line: the volume, the people there, and the server with its round trip. A server in this window answers at
+    /// once. Returns whom to follow.
     fn status_line(&self, ui: &mut Ui) -> Option<Option<u32>> {
         let small = |text: String| RichText::new(text).size(12.0).color(quiet(ui.ctx()));
         let (source, name) = (self.viewing.source(), &self.options.server_name);
         let (state, stats) = (source.state(), source.stats());
         let is_silent = source.is_silent();
         let server = match (&state, stats.rtt_micros) {
-            (State::Connected, micros) if micros > 0 && !is_silent => {
+            (State::Connected, micros) if micros > 0 && !is_silent && !self.is_server_here() => {
                 format!("{name}  {}", format_duration(Duration::from_micros(micros)))
             }
             _ => name.clone(),
         };
-        let (server, size) = (small(server), small(self.title.clone()));
+        let size = source.description().map(|of| size_of(&of.volume)).unwrap_or_default();
+        let (server, size) = (small(server), small(format!("{}  {size}", self.title)));
         ui.horizontal_centered(|ui| {
             ui.add(egui::Label::new(size).truncate());
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
@@ -93,6 +96,11 @@ impl<S: FrameSource> ViewerApp<S> {
             .inner
         })
         .inner
+    }
+
+    /// Whether the server is a part of this window.
+    fn is_server_here(&self) -> bool {
+        self.opens_volumes && self.options.volume_source.is_some()
     }
 
     /// The room for panes at the top: beside the badge, or below it if there is too little.
@@ -127,6 +135,18 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn panel_frame(ctx: &egui::Context) -> egui::Frame {
         egui::Frame::new().fill(style::surface(ctx)).inner_margin(Margin::symmetric(12, 8))
     }
+}
+
+/// The size of a volume with its unit, and its values.
+fn size_of(volume: &VolumeDescription) -> String {
+    let (lo, hi) = volume.value_range;
+    let values =
+        |unit: &str| format!("values {} to {}{unit}", format_in(lo, hi - lo), format_in(hi, hi - lo));
+    let values = volume.value_unit.as_ref().map_or_else(|| values(""), |unit| values(&format!(" {unit}")));
+    let Some(unit) = &volume.unit else { return format!("voxels  {values}") };
+    let size = volume.bounds().max - volume.bounds().min;
+    let [x, y, z] = size.to_array().map(|side| format_in(side, size.max_element()));
+    format!("voxels  {x}×{y}×{z} {unit}  {values}")
 }
 
 /// Height of the status line, points.

@@ -183,9 +183,9 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     let volume_box = settings.bindings.with_key("box", Action::Box);
     let aids = &mut *settings.aids;
     ui.horizontal(|ui| {
-        ui.checkbox(&mut aids.shows_axes, axes);
-        ui.checkbox(&mut aids.shows_box, volume_box);
-        ui.checkbox(&mut aids.shows_legend, settings.bindings.with_key("legend", Action::Legend));
+        controls::checkbox(ui, &mut aids.shows_axes, axes);
+        controls::checkbox(ui, &mut aids.shows_box, volume_box);
+        controls::checkbox(ui, &mut aids.shows_legend, settings.bindings.with_key("legend", Action::Legend));
     });
     ui.horizontal(|ui| {
         ui.label("background");

@@ -49,7 +49,7 @@ pub struct InitialOrbit {
     pub azimuth_degrees: f32,
     /// Degrees; a positive angle moves the eye up.
     pub elevation_degrees: f32,
-    /// Distance of the eye from the centre in radii of the bounding sphere; none: the sphere just fits the view.
+    /// Distance of the eye from the centre in radii of the bounding sphere; none: the volume's box just fits the view.
     pub distance_in_radii: Option<f32>,
 }
 
@@ -65,6 +65,7 @@ pub struct CameraControls {
     initial: InitialOrbit,
     world_from_upright: Quat,
     middle: Vec3,
+    half_size: Vec3,
     /// What the camera turns about.
     center: Vec3,
     radius: f32,
@@ -85,6 +86,7 @@ impl CameraControls {
             initial,
             world_from_upright,
             middle: bounds.center(),
+            half_size: half_size(bounds),
             center: bounds.center(),
             radius: bounds.radius(),
             world_from_view: Quat::IDENTITY,
@@ -96,7 +98,6 @@ impl CameraControls {
 
     /// Returns to the first view.
     pub fn reset(&mut self, intrinsics: &Intrinsics) {
-        let distance = self.initial.distance_in_radii.unwrap_or_else(|| intrinsics.fit_distance());
         self.center = self.middle;
         let upright_from_view = Pose::orbit(
             Vec3::ZERO,
@@ -106,14 +107,20 @@ impl CameraControls {
         )
         .world_from_view;
         self.world_from_view = (self.world_from_upright * upright_from_view).normalize();
-        self.eye_from_center = Vec3::Z * self.bounded_depth(distance * self.radius);
+        match self.initial.distance_in_radii {
+            Some(distance) => self.eye_from_center = Vec3::Z * self.bounded_depth(distance * self.radius),
+            None => {
+                let (min, max) = (self.middle - self.half_size, self.middle + self.half_size);
+                self.fit(&Aabb { min, max }, intrinsics, false);
+            }
+        }
     }
 
     /// The same view of another volume, in units of its size. [`CameraControls::reset`] leads to its first view.
     pub fn turn_to(&mut self, bounds: &Aabb) {
         let scale = bounds.radius() / self.radius;
         self.center = bounds.center() + (self.center - self.middle) * scale;
-        (self.middle, self.radius) = (bounds.center(), bounds.radius());
+        (self.middle, self.radius, self.half_size) = (bounds.center(), bounds.radius(), half_size(bounds));
         self.eye_from_center =
             (self.eye_from_center * scale).with_z(self.bounded_depth(self.eye_from_center.z * scale));
     }
@@ -278,6 +285,10 @@ impl CameraControls {
     }
 }
 
+fn half_size(bounds: &Aabb) -> Vec3 {
+    (bounds.max - bounds.min) * 0.5
+}
+
 /// The angle between two viewing poses as seen from the volume's centre, degrees: how far a frame of one must turn to
 /// serve the other.
 pub fn angle_between_degrees(a: &Pose, b: &Pose, center: Vec3) -> f32 {
@@ -349,8 +360,13 @@ mod tests {
         );
         assert!(distance(&c.pose(), &expect) < WORLD_TOLERANCE);
         let fit = CameraControls::new(InitialOrbit::default(), Quat::IDENTITY, &bounds(), &INTRINSICS);
-        let d = (fit.pose().eye - bounds().center()).length();
-        assert!((d - bounds().radius() * INTRINSICS.fit_distance()).abs() < WORLD_TOLERANCE);
+        let mut again = fit.clone();
+        again.fit(&bounds(), &INTRINSICS, false);
+        assert_eq!(again.pose(), fit.pose());
+        // Control: an orbit of three radii is another view.
+        let mut again = c.clone();
+        again.fit(&bounds(), &INTRINSICS, false);
+        assert!(distance(&again.pose(), &c.pose()) > 0.1);
     }
 
     #[test]

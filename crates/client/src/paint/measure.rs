@@ -245,15 +245,21 @@ impl MeasureEditor {
         let busy = self.drag.map(|(place, _)| place).or(self.hovered);
         for (number, measure) in self.done.iter().enumerate() {
             paint_points(pen, canvas, &measure.points, |point| busy == Some((number, point)));
-            let at = match measure.kind {
-                MeasureKind::Distance | MeasureKind::Profile => middle(&measure.points),
-                MeasureKind::Angle => measure.points.get(1).copied(),
-                MeasureKind::Path => measure.points.last().copied(),
+            let (at, is_line) = match measure.kind {
+                MeasureKind::Distance | MeasureKind::Profile => (middle(&measure.points), true),
+                MeasureKind::Angle => (measure.points.get(1).copied(), false),
+                MeasureKind::Path => (measure.points.last().copied(), false),
             };
             let at = at.filter(|at| canvas.holds(Vec3::from_array(*at)));
             if let Some(at) = at.and_then(|at| canvas.on_screen(at)) {
                 let text = format!("{}: {}", number + 1, scale.told(measure));
-                pen.text(at + vec2(0.0, -9.0), Align2::CENTER_BOTTOM, &text, 13.0, LINE);
+                let reach = measure.points.first().and_then(|end| canvas.on_screen(*end));
+                // In the line if that has room for it, and above the point or the short line otherwise.
+                let (up, align) = match reach.map_or(0.0, |end| end.distance(at)) {
+                    reach if is_line && reach > LEAST_REACH => (0.0, Align2::CENTER_CENTER),
+                    reach => (if is_line { reach } else { 0.0 } + 12.0, Align2::CENTER_BOTTOM),
+                };
+                pen.label(at - vec2(0.0, up), align, &text, 13.0, LINE);
             }
         }
         paint_points(pen, canvas, &self.begun, |_| false);
@@ -347,6 +353,8 @@ impl LengthScale<'_> {
 const LEAST_WITHOUT_EXPONENT: f64 = 1e-4;
 /// Colour of lines and points.
 const LINE: Color32 = Color32::from_rgb(255, 205, 90);
+/// Half the length of a line that has its label in it, points.
+const LEAST_REACH: f32 = 56.0;
 /// Strength of what lies beside a slice.
 const FAINT: f32 = 0.25;
 /// A release nearer to its press is a click, points.

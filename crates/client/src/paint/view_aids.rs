@@ -128,6 +128,15 @@ impl Pen<'_> {
         self.painter.text(at, align, text, font, color);
     }
 
+    /// A text on a patch of its own, over lines and pictures alike.
+    pub(crate) fn label(&self, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
+        let galley = self.painter.layout_no_wrap(text.to_owned(), FontId::proportional(size), color);
+        let rect = align.anchor_size(at, galley.size());
+        let patch = self.halo.gamma_multiply(0.85);
+        self.painter.rect_filled(rect.expand2(vec2(5.0, 2.0)), 4.0, patch);
+        self.painter.galley(rect.min, galley, color);
+    }
+
     /// Draws a box; edges of faces that look away are faint.
     pub(crate) fn draw_box(&self, rect: Rect, camera: &Camera, bounds: &Aabb, color: Color32) {
         let basis = camera.basis();

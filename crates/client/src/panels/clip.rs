@@ -5,7 +5,7 @@ use glam::Vec3;
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
 
-use super::controls::{row, slider};
+use super::controls::{self, row, slider};
 use super::text::format_in;
 use crate::input::bindings::{Action, Bindings};
 use crate::paint::clip_editor::{ClipEditor, LEAST_SIDE, offsets};
@@ -24,14 +24,14 @@ pub(crate) fn show(
     let suffix = unit.map_or(String::new(), |unit| format!(" {unit}"));
     ui.horizontal(|ui| {
         let mut has_box = clip.bounds.is_some();
-        if ui.checkbox(&mut has_box, "clip box").changed() {
+        if controls::checkbox(ui, &mut has_box, "clip box").changed() {
             editor.toggle_box(clip, bounds);
         }
         let mut has_plane = clip.plane.is_some();
-        if ui.checkbox(&mut has_plane, "clip plane").changed() {
+        if controls::checkbox(ui, &mut has_plane, "clip plane").changed() {
             editor.toggle_plane(clip, bounds, forward);
         }
-        ui.checkbox(&mut editor.is_shown, bindings.with_key("handles", Action::Clip));
+        controls::checkbox(ui, &mut editor.is_shown, bindings.with_key("handles", Action::Clip));
     });
     ui.vertical(|ui| {
         if let Some(inner) = &mut clip.bounds {

@@ -6,7 +6,7 @@
 use std::ops::RangeInclusive;
 
 use egui::emath::Numeric;
-use egui::{DragValue, Id, Key, Response, Role, Slider, SliderClamping, Ui, WidgetInfo};
+use egui::{DragValue, Id, Key, Response, Role, Slider, SliderClamping, Ui, WidgetInfo, WidgetText};
 
 /// A field that shows its number by `format`.
 pub(crate) fn field<'a>(ui: &Ui, value: &'a mut f32, format: impl Fn(f32) -> String + 'a) -> DragValue<'a> {
@@ -44,6 +44,29 @@ pub(crate) fn whole<'a, N: Numeric>(ui: &Ui, value: &'a mut N, range: RangeInclu
     DragValue::new(value).range(range).update_while_editing(false).custom_parser(reader(ui))
 }
 
+/// A box to check. An empty one looks empty, and a checked one has the colour of what is chosen.
+pub(crate) fn checkbox(ui: &mut Ui, is_checked: &mut bool, text: impl Into<WidgetText>) -> Response {
+    let text = text.into();
+    let shown = ui.scope(|ui| {
+        let visuals = ui.visuals_mut();
+        let fill = if *is_checked { visuals.selection.bg_fill } else { visuals.extreme_bg_color };
+        let mark = visuals.selection.stroke.color;
+        let widgets = &mut visuals.widgets;
+        for look in [&mut widgets.inactive, &mut widgets.hovered, &mut widgets.active] {
+            look.bg_fill = fill;
+        }
+        let text_color = widgets.inactive.fg_stroke.color;
+        if *is_checked {
+            // The mark is on the fill, and the text beside it on the panel.
+            for look in [&mut widgets.inactive, &mut widgets.hovered, &mut widgets.active] {
+                look.fg_stroke.color = mark;
+            }
+        }
+        ui.add(egui::Checkbox::new(is_checked, text.color(text_color)))
+    });
+    shown.inner
+}
+
 /// A line of a panel: a name in the column of names, and the control that screen readers call by it. A slider or list
 /// fills the rest.
 pub(crate) fn row(ui: &mut Ui, name: &str, hint: &str, control: impl FnOnce(&mut Ui) -> Response) {
@@ -68,7 +91,10 @@ pub(crate) fn name_cell(ui: &mut Ui, name: &str) -> Response {
 /// Lets a slider with its number, or a list, fill the rest of a line.
 pub(crate) fn fill_row(ui: &mut Ui) {
     let room = ui.available_width();
-    ui.spacing_mut().slider_width = (room - NUMBER_WIDTH).max(60.0);
+    let spacing = ui.spacing_mut();
+    spacing.slider_width = (room - NUMBER_WIDTH).max(60.0);
+    // All numbers are as wide, so that they are in one column.
+    spacing.interact_size.x = NUMBER_WIDTH - spacing.item_spacing.x;
     ui.spacing_mut().combo_width = (room - 8.0).max(60.0);
 }
 

@@ -14,22 +14,28 @@ pub(crate) fn show(ui: &mut Ui, server: &str, state: &State, seconds: f64, help:
     painter.rect_filled(rect, 0.0, style::surface(ctx));
     let center = rect.center();
     emblem(painter, center + vec2(0.0, -86.0), 1.0, ui.visuals().dark_mode);
+    // Returns where the text ends.
     let text = |y: f32, s: &str, size: f32, color: Color32| {
         let wrapped =
             painter.layout(s.to_owned(), egui::FontId::proportional(size), color, rect.width() - 80.0);
-        painter.galley(center + vec2(-wrapped.size().x * 0.5, y), wrapped, color);
+        let (at, end) = (center + vec2(-wrapped.size().x * 0.5, y), wrapped.pos_from_cursor(wrapped.end()));
+        painter.galley(at, wrapped, color);
+        at + end.left_bottom().to_vec2()
     };
     text(-36.0, "isinglass", 30.0, bright);
-    let dots = &"..."[..1 + (seconds * 2.0) as usize % 3];
     let (line, problem) = match state {
-        State::Connecting { problem, .. } => (format!("connecting to {server} {dots}"), problem.as_ref()),
-        State::Connected => (format!("connected to {server}, waiting for the first frame {dots}"), None),
-        State::Reconnecting { problem, .. } => {
-            (format!("connecting to {server} again {dots}"), Some(problem))
-        }
+        State::Connecting { problem, .. } => (format!("connecting to {server}"), problem.as_ref()),
+        State::Connected => (format!("{server} prepares the first picture"), None),
+        State::Reconnecting { problem, .. } => (format!("connecting to {server} again"), Some(problem)),
         State::Refused(problem) => (format!("not connected to {server}"), Some(problem)),
     };
-    text(10.0, &line, 15.0, bright);
+    let end = text(10.0, &line, 15.0, bright);
+    if !matches!(state, State::Refused(_)) {
+        // Beside the line, which stays in its place.
+        let dots = &"..."[..1 + (seconds * 2.0) as usize % 3];
+        let font = egui::FontId::proportional(15.0);
+        painter.text(end + vec2(4.0, 0.0), egui::Align2::LEFT_BOTTOM, dots, font, bright);
+    }
     if let Some(problem) = problem {
         text(38.0, &sentence(problem), 13.0, style::amber(ui.ctx()));
     }

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use egui::{ColorImage, Context, Sense, TextureHandle, TextureOptions, Ui, vec2};
+use egui::{ColorImage, Context, RichText, Sense, TextureHandle, TextureOptions, Ui, vec2};
 use isinglass_core::camera::{Intrinsics, Pose};
 use isinglass_core::ids::ScreenshotId;
 use isinglass_core::look::Look;
@@ -12,9 +12,10 @@ use isinglass_core::mode::Mode;
 use isinglass_core::volume::Lighting;
 use isinglass_core::wire::VolumeDescription;
 use isinglass_formats::png;
+use lucide_icons::Icon;
 
-use super::style::{bright, quiet};
-use super::text::mode_name;
+use super::style::{ICON_SIZE, accent, bright, quiet};
+use super::text::{mode_name, preset_title};
 use super::value_scale::ValueScale;
 use crate::view::frame_source::FrameSource;
 
@@ -25,6 +26,12 @@ pub(crate) enum GalleryEntry {
     Mode(Mode),
 }
 
+struct Thumbnail {
+    texture: TextureHandle,
+    /// Whether nothing is seen in it.
+    is_empty: bool,
+}
+
 #[derive(Default)]
 pub(crate) struct Gallery {
     /// The volume of the pictures, and the look that they vary.
@@ -32,7 +39,7 @@ pub(crate) struct Gallery {
     /// Since when the volume is shown.
     since: Duration,
     /// A picture, or none where the server made none.
-    pictures: Vec<(GalleryEntry, Option<TextureHandle>)>,
+    pictures: Vec<(GalleryEntry, Option<Thumbnail>)>,
     requested: Option<(ScreenshotId, GalleryEntry)>,
 }
 
@@ -58,12 +65,13 @@ impl Gallery {
             self.requested = None;
             if let Some(shot) = shot {
                 let picture = shot.png.as_ref().ok().and_then(|bytes| png::decode(bytes, MOST_PIXELS).ok());
-                let texture = picture.map(|rgb| {
+                let thumbnail = picture.map(|rgb| {
                     let size = [rgb.width as usize, rgb.height as usize];
                     let image = ColorImage::from_rgb(size, &rgb.bytes);
-                    ctx.load_texture(entry.name(), image, TextureOptions::LINEAR)
+                    let texture = ctx.load_texture(entry.name(), image, TextureOptions::LINEAR);
+                    Thumbnail { texture, is_empty: rgb.bytes.iter().all(|c| *c < LEAST_SEEN) }
                 });
-                self.pictures.push((entry, texture));
+                self.pictures.push((entry, thumbnail));
                 ctx.request_repaint();
             }
         }
@@ -108,7 +116,7 @@ impl Gallery {
         self.pictures.retain(|(_, picture)| picture.is_some());
     }
 
-    fn picture(&self, entry: GalleryEntry) -> Option<&Option<TextureHandle>> {
+    fn picture(&self, entry: GalleryEntry) -> Option<&Option<Thumbnail>> {
         self.pictures.iter().find(|(of, _)| *of == entry).map(|(_, picture)| picture)
     }
 
@@ -128,7 +136,11 @@ impl Gallery {
         let mut chosen = None;
         let (presets, modes): (Vec<_>, Vec<_>) =
             entries(volume).into_iter().partition(|entry| matches!(entry, GalleryEntry::Preset(_)));
-        for (row, per_row) in [(presets, 4.0), (modes, 5.0)] {
+        for (row, per_row, title) in [(presets, 4.0, None), (modes, 5.0, Some("Mode"))] {
+            if let Some(title) = title {
+                ui.add_space(4.0);
+                ui.label(RichText::new(title).color(quiet(ui.ctx())));
+            }
             ui.horizontal_wrapped(|ui| {
                 ui.spacing_mut().item_spacing = vec2(GAP, 6.0);
                 for entry in row {
@@ -153,24 +165,34 @@ impl Gallery {
         let square = egui::Rect::from_min_size(rect.min, vec2(side, side));
         let visuals = ui.visuals();
         let painter = ui.painter();
+        let field = visuals.extreme_bg_color;
+        let faint = quiet(ui.ctx()).gamma_multiply(0.6);
+        let told = |text: &str, size: f32| {
+            painter.rect_filled(square, ROUNDING, field);
+            let font = egui::FontId::proportional(size);
+            painter.text(square.center(), egui::Align2::CENTER_CENTER, text, font, faint);
+        };
         match self.picture(entry) {
+            Some(Some(picture)) if picture.is_empty => told("empty", 11.0),
             Some(Some(picture)) => {
                 let whole = egui::Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0));
-                painter.image(picture.id(), square, whole, egui::Color32::WHITE);
+                let shape = egui::epaint::RectShape::filled(square, ROUNDING, egui::Color32::WHITE);
+                painter.add(shape.with_texture(picture.texture.id(), whole));
             }
-            _ => {
-                painter.rect_filled(square, 3.0, visuals.extreme_bg_color);
-            }
+            Some(None) => told(&Icon::ImageOff.unicode().to_string(), ICON_SIZE),
+            // It is on the way.
+            None => told(&Icon::Image.unicode().to_string(), ICON_SIZE),
         }
         let (width, color) = match (is_chosen, response.hovered() || response.has_focus()) {
-            (true, _) => (2.0, visuals.selection.stroke.color),
+            (true, _) => (2.0, accent(ui.ctx())),
             (false, true) => (1.0, visuals.widgets.hovered.fg_stroke.color),
             (false, false) => (1.0, visuals.widgets.noninteractive.bg_stroke.color),
         };
-        painter.rect_stroke(square, 3.0, egui::Stroke::new(width, color), egui::StrokeKind::Inside);
+        // Around the picture: it is seen beside the panel's colour, whatever the picture's is.
+        painter.rect_stroke(square, ROUNDING, egui::Stroke::new(width, color), egui::StrokeKind::Outside);
         let color = if is_chosen { bright(ui.ctx()) } else { quiet(ui.ctx()) };
         let font = egui::FontId::proportional(11.0);
-        let below = rect.with_min_y(square.bottom() + 1.0);
+        let below = rect.with_min_y(square.bottom() + 2.0);
         let painter = painter.with_clip_rect(below.intersect(ui.clip_rect()));
         painter.text(below.left_top(), egui::Align2::LEFT_TOP, entry.short_name(), font, color);
         response.on_hover_text(name).clicked()
@@ -212,10 +234,12 @@ impl GalleryEntry {
 
     fn short_name(self) -> &'static str {
         match self {
-            Self::Preset(name) => name,
+            Self::Preset(name) => preset_title(name),
+            Self::Mode(Mode::Composite) => "Composite",
             Self::Mode(Mode::Mip) => "MIP",
             Self::Mode(Mode::MinIp) => "MinIP",
-            Self::Mode(mode) => mode.name(),
+            Self::Mode(Mode::Average) => "Average",
+            Self::Mode(Mode::Iso) => "Surfaces",
         }
     }
 }
@@ -231,6 +255,9 @@ fn entries(volume: &VolumeDescription) -> Vec<GalleryEntry> {
 const STAY: Duration = Duration::from_secs(1);
 /// Between pictures, points.
 const GAP: f32 = 8.0;
+const ROUNDING: f32 = 3.0;
+/// A picture with nothing but darker pixels shows nothing.
+const LEAST_SEEN: u8 = 12;
 /// Size of a picture, pixels.
 const SIDE_PIXELS: u32 = 128;
 const MOST_PIXELS: u64 = (SIDE_PIXELS * SIDE_PIXELS) as u64;

@@ -16,7 +16,9 @@ use super::style::named;
 pub(crate) fn show(ui: &mut Ui, look: &mut Look, world_from_view: Quat) {
     let Look { shaded, lighting, .. } = look;
     ui.vertical(|ui| {
-        row(ui, "shading", "shows surfaces by how they face the light", |ui| ui.checkbox(shaded, ""));
+        row(ui, "shading", "shows surfaces by how they face the light", |ui| {
+            controls::checkbox(ui, shaded, "")
+        });
         let hint = "Strength of highlights on shaded surfaces";
         row(ui, "specular", hint, |ui| {
             ui.add_enabled_ui(*shaded, |ui| percent(ui, &mut lighting.specular, 0.0..=100.0)).inner

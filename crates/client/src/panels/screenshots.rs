@@ -24,7 +24,7 @@ use time::OffsetDateTime;
 use self::marks::PictureMarks;
 
 use super::background::Background;
-use super::controls::whole;
+use super::controls::{self, whole};
 use super::style::pane_at;
 use crate::input::camera_path::CameraPath;
 use crate::view::frame_source::FrameSource;
@@ -371,14 +371,16 @@ impl Screenshots {
                 }
                 ui.label("overlays");
                 ui.horizontal(|ui| {
-                    ui.checkbox(&mut self.has_scale, "scale bar");
-                    ui.checkbox(&mut self.has_legend, "colour legend");
+                    controls::checkbox(ui, &mut self.has_scale, "scale bar");
+                    controls::checkbox(ui, &mut self.has_legend, "colour legend");
                 });
                 ui.end_row();
                 let is_movie = total > 1 && self.movie.is_some();
                 ui.label("background");
-                let transparent = egui::Checkbox::new(&mut self.is_transparent, "transparent");
-                ui.add_enabled(!is_movie, transparent).on_disabled_hover_text("a movie has a background");
+                let transparent = ui.add_enabled_ui(!is_movie, |ui| {
+                    controls::checkbox(ui, &mut self.is_transparent, "transparent")
+                });
+                transparent.inner.on_disabled_hover_text("a movie has a background");
                 ui.end_row();
                 let label = ui.label("folder");
                 ui.add(egui::TextEdit::singleline(&mut self.folder).desired_width(260.0))

@@ -8,7 +8,7 @@ use glam::Vec3;
 use isinglass_core::volume::{SlabMode, SliceGrid, SliceSpec};
 use lucide_icons::Icon;
 
-use super::controls::field;
+use super::controls::{self, field};
 use super::style::{icon, named};
 use super::text::format_in;
 use super::value_scale::ValueScale;
@@ -167,7 +167,7 @@ impl SlicePanes {
                     self.slab.mode = mode;
                 }
             }
-            ui.checkbox(&mut self.is_in_picture, "over the volume")
+            controls::checkbox(ui, &mut self.is_in_picture, "over the volume")
                 .on_hover_text("draw the slices over the picture of the volume, too");
             if width >= WIDTH_WITH_WINDOW {
                 ui.separator();

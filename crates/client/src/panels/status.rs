@@ -182,6 +182,7 @@ pub(crate) fn show(
         ui.spacing_mut().item_spacing = vec2(6.0, 2.0);
         ui.spacing_mut().interact_size.y = 0.0;
         let line = vec2(ui.available_width(), 20.0);
+        let has_name = shows_numbers || has_name_in(room.width());
         let switched =
             ui.allocate_ui_with_layout(line, egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 let numbers = egui::Button::new(icon(Icon::Info).size(14.0)).frame(false);
@@ -189,13 +190,16 @@ pub(crate) fn show(
                 numbers.widget_info(|| {
                     egui::WidgetInfo::selected(egui::Role::CheckBox, true, shows_numbers, "numbers")
                 });
-                badge(ui, model.standing);
-                if shows_numbers || has_name_in(room.width()) {
-                    ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
+                if has_name {
+                    badge(ui, model.standing);
+                }
+                ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| match has_name {
+                    true => {
                         let name = RichText::new(name).color(bright(ctx)).size(13.0);
                         ui.add(egui::Label::new(name).truncate());
-                    });
-                }
+                    }
+                    false => badge(ui, model.standing),
+                });
                 numbers.clicked()
             });
         if shows_numbers {
@@ -234,10 +238,19 @@ fn color(ui: &Ui, standing: Standing) -> Color32 {
 
 fn badge(ui: &mut Ui, standing: Standing) {
     let color = color(ui, standing);
-    // The line goes from right to left.
+    // The dot is before the word, whichever way the line goes.
+    let is_reversed = ui.layout().prefer_right_to_left();
+    let dot = |ui: &mut Ui| {
+        let (dot, _) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
+        ui.painter().circle_filled(dot.center(), 4.0, color);
+    };
+    if !is_reversed {
+        dot(ui);
+    }
     let word = ui.label(RichText::new(standing.word()).color(color).strong().size(13.0));
-    let (dot, _) = ui.allocate_exact_size(vec2(9.0, 14.0), egui::Sense::hover());
-    ui.painter().circle_filled(dot.center(), 4.0, color);
+    if is_reversed {
+        dot(ui);
+    }
     word.on_hover_text(standing.explanation());
 }
 

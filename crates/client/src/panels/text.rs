@@ -98,6 +98,28 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
     }
 }
 
+/// A preset's name as people write it. A preset of a file keeps its own.
+pub(crate) fn preset_title(name: &str) -> &str {
+    match name {
+        "angio" => "Angiography",
+        "cloud" => "Cloud",
+        "ct" => "CT",
+        "ct-body" => "CT body",
+        "ct-bone" => "CT bone",
+        "ct-lung" => "CT lung",
+        "ct-vessels" => "CT vessels",
+        "ct-windowed" => "CT windowed",
+        "cubus" => "Cubes",
+        "fluorescence" => "Fluorescence",
+        "industrial" => "Industrial",
+        "mri" => "MR",
+        "mri-skin" => "MR skin",
+        "shells" => "Shells",
+        "smooth" => "Smooth",
+        other => other,
+    }
+}
+
 /// A name as the beginning of a file's name.
 pub(crate) fn file_stem(name: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "-_.".contains(c);
@@ -107,6 +129,14 @@ pub(crate) fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_preset_has_a_title() {
+        for name in isinglass_formats::preset_names() {
+            assert_ne!(preset_title(name), name);
+        }
+        assert_eq!(preset_title("seen.toml"), "seen.toml");
+    }
 
     #[test]
     fn a_sentence_begins_and_ends_as_one() {

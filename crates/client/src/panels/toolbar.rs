@@ -206,7 +206,7 @@ impl Toolbar<'_> {
 fn menu(ui: &mut Ui, symbol: Icon, name: &str, has_word: bool, content: impl FnOnce(&mut Ui)) {
     let symbol = icon(symbol);
     let shown = match has_word {
-        true => ui.menu_button((symbol, name), content),
+        true => ui.menu_button((symbol, name, down()), content),
         false => ui.menu_button(symbol, content),
     };
     named(&shown.response, Role::Button, name);
@@ -215,9 +215,14 @@ fn menu(ui: &mut Ui, symbol: Icon, name: &str, has_word: bool, content: impl FnO
     }
 }
 
+/// The sign of a menu.
+fn down() -> egui::RichText {
+    icon(Icon::ChevronDown).size(12.0)
+}
+
 /// Height of the bar, points.
 pub(crate) const TOOLBAR_HEIGHT: f32 = ICON_SIZE + 20.0;
 /// Switches are in bars at least this wide, points.
-const LEAST_WIDTH_WITH_SWITCHES: f32 = 560.0;
+const LEAST_WIDTH_WITH_SWITCHES: f32 = 650.0;
 /// Menus have words in bars at least this wide, points.
-const LEAST_WIDTH_WITH_WORDS: f32 = 800.0;
+const LEAST_WIDTH_WITH_WORDS: f32 = 920.0;

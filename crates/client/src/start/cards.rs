@@ -32,6 +32,56 @@ pub(super) fn choice<R>(
     shown.inner
 }
 
+/// A field that says that files can be dropped, in what is left of a card.
+pub(super) fn drop_zone(ui: &mut Ui, text: &str) {
+    let size = vec2(ui.available_width(), ui.available_height().clamp(28.0, 36.0));
+    let (rect, _) = ui.allocate_exact_size(size, Sense::hover());
+    let color = quiet(ui.ctx());
+    let field = rect.shrink(1.0);
+    let corners = [field.left_top(), field.right_top(), field.right_bottom(), field.left_bottom()];
+    let outline = [&corners[..], &corners[..1]].concat();
+    ui.painter().extend(egui::Shape::dashed_line(
+        &outline,
+        Stroke::new(1.0, color.gamma_multiply(0.7)),
+        5.0,
+        4.0,
+    ));
+    ui.put(rect, egui::Label::new(egui::RichText::new(text).size(12.0).color(color)));
+}
+
+/// A sample with its picture and name, `width` points wide. Returns whether it was clicked.
+pub(super) fn sample_card(ui: &mut Ui, name: &str, png: &[u8], width: f32) -> bool {
+    let picture_height = (width * 0.625).round();
+    let (rect, response) = ui.allocate_exact_size(vec2(width, picture_height + 18.0), Sense::click());
+    named(&response, egui::Role::Button, name);
+    let ctx = ui.ctx().clone();
+    let id = egui::Id::unique("picture of a sample").with(name);
+    let kept: Option<TextureHandle> = ui.data(|data| data.get_temp(id));
+    let picture = kept.or_else(|| {
+        let rgb = isinglass_formats::png::decode(png, MOST_SAMPLE_PIXELS).ok()?;
+        let size = [rgb.width as usize, rgb.height as usize];
+        let image = egui::ColorImage::from_rgb(size, &rgb.bytes);
+        let texture = ctx.load_texture(name, image, egui::TextureOptions::LINEAR);
+        ui.data_mut(|data| data.insert_temp(id, texture.clone()));
+        Some(texture)
+    });
+    if ui.is_rect_visible(rect) {
+        let square = rect.with_max_y(rect.top() + picture_height);
+        let all = Rect::from_min_max(egui::Pos2::ZERO, pos2(1.0, 1.0));
+        let shape = egui::epaint::RectShape::filled(square, 4.0, egui::Color32::WHITE);
+        match picture {
+            Some(picture) => _ = ui.painter().add(shape.with_texture(picture.id(), all)),
+            None => _ = ui.painter().rect_filled(square, 4.0, style::surface(&ctx)),
+        }
+        let is_marked = response.hovered() || response.has_focus();
+        let line = if is_marked { accent(&ctx) } else { ui.visuals().widgets.noninteractive.bg_stroke.color };
+        ui.painter().rect_stroke(square, 4.0, Stroke::new(1.0, line), egui::StrokeKind::Outside);
+        let at = pos2(rect.center().x, rect.bottom());
+        ui.painter().text(at, Align2::CENTER_BOTTOM, name, FontId::proportional(12.0), bright(&ctx));
+    }
+    response.on_hover_text("a small volume that needs no file").clicked()
+}
+
 pub(super) enum CardWish {
     Open,
     Forget,
@@ -127,3 +177,5 @@ fn name_and_place(entry: &RecentEntry) -> (String, String) {
         }
     }
 }
+
+const MOST_SAMPLE_PIXELS: u64 = 192 * 120;

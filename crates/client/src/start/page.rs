@@ -8,7 +8,7 @@ use isinglass_formats::{LoadRequest, RecentPlace};
 use isinglass_net::Link;
 use lucide_icons::Icon;
 
-use super::cards::{CardWish, choice, recent_card};
+use super::cards::{CardWish, choice, drop_zone, recent_card, sample_card};
 use super::opening::Opening;
 use super::pictures::Pictures;
 use super::recent_list::RecentList;
@@ -296,23 +296,29 @@ fn open_choice(ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Optio
         });
         match problem_of(scene, Act::Open) {
             Some(problem) => style::problem(ui, problem),
-            None => small(ui, "A volume, a folder of slices or a saved view. Or drop it on this window."),
+            None if ui.available_width() < LEAST_WIDTH_OF_ZONE => {
+                small(ui, "A volume, a folder of slices or a saved view. Or drop it on this window.");
+            }
+            None => {
+                small(ui, "A volume, a folder of slices or a saved view.");
+                drop_zone(ui, "or drop it on this window");
+            }
         }
     });
 }
 
 fn sample_choice(ui: &mut Ui, scene: &PageScene<'_>, height: f32, wish: &mut Option<PageWish>) {
     choice(ui, (Icon::Shapes, "Try a sample"), height, |ui| {
-        ui.horizontal_wrapped(|ui| {
-            for (sample, name) in SAMPLES {
-                if ui.button(name).clicked() {
+        ui.horizontal(|ui| {
+            let width = ((ui.available_width() - 16.0) / 3.0).min(MOST_WIDTH_OF_SAMPLE).floor();
+            for (sample, name, png) in SAMPLES {
+                if sample_card(ui, name, png, width) {
                     *wish = Some(PageWish::OpenSample(sample));
                 }
             }
         });
-        match problem_of(scene, Act::Sample) {
-            Some(problem) => style::problem(ui, problem),
-            None => small(ui, "A small volume that needs no file."),
+        if let Some(problem) = problem_of(scene, Act::Sample) {
+            style::problem(ui, problem);
         }
     });
 }
@@ -381,8 +387,16 @@ fn link_in(text: &str) -> Result<Link, String> {
     link.parse::<Link>().map_err(|e| sentence(&e))
 }
 
-const SAMPLES: [(Builtin, &str); 3] =
-    [(Builtin::Shells, "Shells"), (Builtin::Cloud, "Cloud"), (Builtin::Cubus, "Cubes")];
+/// Volumes that need no file, with their names and pictures.
+const SAMPLES: [(Builtin, &str, &[u8]); 3] = [
+    (Builtin::Shells, "Shells", include_bytes!("samples/shells.png")),
+    (Builtin::Cloud, "Cloud", include_bytes!("samples/cloud.png")),
+    (Builtin::Cubus, "Cubes", include_bytes!("samples/cubus.png")),
+];
+/// Cards this wide have a field for dropping, points.
+const LEAST_WIDTH_OF_ZONE: f32 = 260.0;
+/// Points.
+const MOST_WIDTH_OF_SAMPLE: f32 = 128.0;
 /// Between cards, points.
 const GAP: f32 = 16.0;
 /// Height of the choices in a row, points.

@@ -201,7 +201,9 @@ impl<S: FrameSource> Viewing<S> {
         let ahead_camera = predicted.map_or(camera, |ahead| camera_of(ahead, &camera, bounds));
         let ahead = ahead_camera.pose;
         let has_own = frame.as_deref().filter(|f| self.is_settled(now, f, (pose, full)));
-        let size = self.size(now, ahead_camera, &camera, has_own, max_side, bounds);
+        let has_older_look = frame.as_ref().is_some_and(|f| !self.shows_wanted_look(f, bounds));
+        let is_editing = self.is_changing_look(now, has_older_look);
+        let size = self.size((now, is_editing), ahead_camera, &camera, has_own, max_side, bounds);
         if let Some((left, _)) = self.asked.filter(|(asked, _)| *asked != ahead) {
             if self.left.len() == MAX_LEFT {
                 self.left.pop_front();
@@ -242,7 +244,6 @@ impl<S: FrameSource> Viewing<S> {
             kept = self.kept.choose(frame, &camera, &drawn);
         }
         let turned_degrees = frame.as_deref().map(|f| turned_degrees(f, &camera, &drawn));
-        let has_older_look = frame.as_ref().is_some_and(|f| !self.shows_wanted_look(f, bounds));
         self.older_look_since = has_older_look.then(|| self.older_look_since.unwrap_or(now));
         Refresh {
             standing: self.standing(now, frame.as_deref(), (pose, full), picture),
@@ -260,10 +261,10 @@ impl<S: FrameSource> Viewing<S> {
     }
 
     /// The size to request. `ahead` is the camera of the request, `shown` the displayed one, and `own` its frame, if
-    /// present.
+    /// present. While the look `is_editing`, a small frame shows it.
     fn size(
         &self,
-        now: Duration,
+        (now, is_editing): (Duration, bool),
         ahead: Camera,
         shown: &Camera,
         own: Option<&ReceivedFrame>,
@@ -287,8 +288,7 @@ impl<S: FrameSource> Viewing<S> {
             return self.frame_size.moving_frame_for(picture, max_side, Some(UNKNOWN_MICROS_PER_LIST));
         }
         if !self.is_moving(now) {
-            // An edit first appears in a small frame; the full one is requested when the hand rests.
-            return match self.is_changing_look(now) {
+            return match is_editing {
                 true => self.draft_size(picture, max_side),
                 false => full,
             };
@@ -393,8 +393,11 @@ impl<S: FrameSource> Viewing<S> {
         self.moved_at > Duration::ZERO && now < self.moved_at + REST
     }
 
-    fn is_changing_look(&self, now: Duration) -> bool {
-        self.look_changed_at.is_some_and(|at| now < at + REST)
+    /// Whether an edit first appears in a small frame. The full one is requested when the hand rests and the small one
+    /// is there. Before that, a busy server would begin the full one without the small one.
+    fn is_changing_look(&self, now: Duration, has_older_look: bool) -> bool {
+        let patience = if has_older_look { DRAFT_PATIENCE } else { REST };
+        self.look_changed_at.is_some_and(|at| now < at + patience)
     }
 
     /// Learns the cost of a list from the server's report on the displayed frame.
@@ -494,6 +497,8 @@ fn is_own(frame: &ReceivedFrame, (pose, full): (Pose, Intrinsics)) -> bool {
 
 /// A camera rests when it has not moved for this time: longer than a refresh at 10 Hz, and too short to notice.
 const REST: Duration = Duration::from_millis(150);
+/// How long the small frame of an edit is awaited: longer than any round trip and a slow server's small frame.
+const DRAFT_PATIENCE: Duration = Duration::from_secs(3);
 /// How long the first frame is requested in a small size: a few refreshes.
 const BEGINNING: Duration = Duration::from_millis(80);
 /// Assumed cost of a list before the server reports it: that of two cores without a GPU.

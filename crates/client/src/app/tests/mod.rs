@@ -374,14 +374,14 @@ fn edits_are_paced_and_a_picture_of_the_look_before_is_called_so() {
 
 #[test]
 fn every_preset_in_the_panel_is_what_its_label_says() {
-    for name in ["shells", "smooth"] {
+    for (name, title) in [("shells", "Shells"), ("smooth", "Smooth")] {
         let mut w = window([1280.0, 720.0]);
         open_panel(&mut w);
         w.get_by_role_and_label(egui::Role::ComboBox, "preset").click();
         w.run_steps(4);
-        let foreign = w.query_by_role_and_label(egui::Role::Button, "ct-bone");
+        let foreign = w.query_by_role_and_label(egui::Role::Button, "CT bone");
         assert!(foreign.is_none(), "not of this volume");
-        w.get_by_role_and_label(egui::Role::Button, name).click();
+        w.get_by_role_and_label(egui::Role::Button, title).click();
         rest(&mut w);
         let transfer = w.state().viewing.source().here().look.1.transfer.clone();
         assert_eq!(Some(transfer), isinglass_formats::preset(name));
@@ -444,7 +444,7 @@ fn keys_switch_what_they_say() {
         assert!(w.query_all_by_label(text).next().is_some(), "{keys} is in the help");
     }
     press(&mut w, Modifiers::NONE, Key::Escape);
-    assert!(!shown(&w, "turn about what is visible"));
+    assert!(!shown(&w, "make the point there"));
     for (key, of) in [
         (Key::B, (|aids: &ViewAids| aids.shows_box) as fn(&ViewAids) -> bool),
         (Key::A, |aids: &ViewAids| aids.shows_axes),

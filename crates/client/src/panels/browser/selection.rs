@@ -3,7 +3,7 @@
 use egui::Ui;
 use isinglass_formats::{Outline, Region, Selection};
 
-use crate::panels::controls::whole;
+use crate::panels::controls::{self, whole};
 use crate::panels::part_pickers::{label, list, numbered, time_field};
 use crate::panels::style::named;
 
@@ -66,7 +66,8 @@ impl SelectionForm {
             }
         });
         ui.horizontal_wrapped(|ui| {
-            ui.checkbox(&mut self.takes_region, "only a region").on_hover_text("voxels along x, y and z");
+            controls::checkbox(ui, &mut self.takes_region, "only a region")
+                .on_hover_text("voxels along x, y and z");
             if !self.takes_region {
                 return;
             }

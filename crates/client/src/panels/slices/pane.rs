@@ -429,7 +429,7 @@ fn draw_lines(ui: &Ui, number: usize, place: &Place, stacks: &[Stack; 3], point:
 
 /// The sides of the body, or the ends of axes, at the edges.
 fn draw_letters(ui: &Ui, stack: &Stack, orientation: &Orientation, rect: Rect) {
-    let edge = rect.shrink(6.0);
+    let edge = rect.shrink(8.0);
     for (direction, at, align) in [
         (stack.right, edge.right_center(), Align2::RIGHT_CENTER),
         (-stack.right, edge.left_center(), Align2::LEFT_CENTER),
@@ -437,7 +437,9 @@ fn draw_letters(ui: &Ui, stack: &Stack, orientation: &Orientation, rect: Rect) {
         (stack.down, edge.center_bottom(), Align2::CENTER_BOTTOM),
     ] {
         if let Some(letter) = orientation.letter_towards(direction) {
-            write(ui.painter(), at, align, &letter.to_string());
+            // The lines of the other planes pass below the letters.
+            let pen = pen(ui.painter());
+            pen.label(at, align, &letter.to_string(), 12.0, pen.ink);
         }
     }
 }

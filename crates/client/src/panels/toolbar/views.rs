@@ -21,7 +21,7 @@ impl Toolbar<'_> {
     pub(super) fn views(&self, ui: &mut Ui, has_word: bool, wish: &mut Option<ToolbarWish>) {
         let symbol = icon(Icon::Rotate3d);
         let button = match has_word {
-            true => egui::Button::new((symbol, "Views")),
+            true => egui::Button::new((symbol, "Views", super::down())),
             false => egui::Button::new(symbol),
         };
         // A name is written in the menu, so a click inside does not close it.

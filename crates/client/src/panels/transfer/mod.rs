@@ -24,7 +24,7 @@ use super::color_well;
 use super::controls::{self, named_number};
 use super::file_field::{FileField, FileOutcome};
 use super::style::named;
-use super::text::format_in;
+use super::text::{format_in, preset_title};
 use super::value_scale::ValueScale;
 use crate::view::{Waker, waker_of};
 
@@ -293,13 +293,13 @@ impl TransferEditor {
             let transfer = &self.curve.transfer;
             let name = match transfer.name.as_str() {
                 "" => "unnamed".to_owned(),
-                name if self.is_edited() => format!("{name} (edited)"),
-                name => name.to_owned(),
+                name if self.is_edited() => format!("{} (edited)", preset_title(name)),
+                name => preset_title(name).to_owned(),
             };
             let presets = egui::ComboBox::from_id_salt("preset").width(half).height(LIST_HEIGHT).truncate();
             let presets = presets.selected_text(name).show_ui(ui, |ui| {
                 for &name in offered {
-                    if ui.selectable_label(self.curve.transfer.name == name, name).clicked() {
+                    if ui.selectable_label(self.curve.transfer.name == name, preset_title(name)).clicked() {
                         taken = isinglass_formats::preset(name);
                     }
                 }
@@ -308,7 +308,7 @@ impl TransferEditor {
             let maps = egui::ComboBox::from_id_salt("colours").width(half).height(LIST_HEIGHT).truncate();
             let maps = maps.selected_text("colour map").show_ui(ui, |ui| {
                 for map in ColorMap::all() {
-                    if map_label(ui, &map) {
+                    if stops::map_label(ui, &map) {
                         colored = Some(map);
                     }
                 }
@@ -336,13 +336,13 @@ impl TransferEditor {
         }
     }
 
-    /// The selected point or stop. The row has the same height without any, so that the rows below stay.
+    /// The selected point or stop, or what the mouse does. The row always has one height, so that those below stay.
     fn point_row(&mut self, ui: &mut Ui) {
         let height = ui.spacing().interact_size.y;
         ui.horizontal(|ui| {
             ui.set_min_height(height);
             match self.selected {
-                None => _ = ui.label(RichText::new("no point or stop selected").weak()),
+                None => _ = ui.label(RichText::new(MOUSE).size(12.0).weak()),
                 Some(Selected::Point(index)) => self.selected_point_row(ui, index),
                 Some(Selected::Stop(index)) => self.selected_stop_row(ui, index),
             }
@@ -353,8 +353,10 @@ impl TransferEditor {
         let (mut value, mut opacity) = (self.curve.value(index), self.curve.opacity(index));
         let before = (value, opacity);
         let span = self.curve.domain.1 - self.curve.domain.0;
+        ui.label("value");
         let of_value = number(ui, "value", &mut value, f64::from(span) * 0.002, f32::MIN..=f32::MAX, span);
         of_value.on_hover_text("value of the selected point");
+        ui.label("opacity");
         let of_opacity = number(ui, "opacity", &mut opacity, 0.002, 0.0..=1.0, 1.0);
         of_opacity.on_hover_text("opacity of matter one unit thick");
         if ui.button("remove").clicked() {
@@ -368,6 +370,7 @@ impl TransferEditor {
         let mut value = self.curve.stop_value(index);
         let before = value;
         let span = self.curve.domain.1 - self.curve.domain.0;
+        ui.label("value");
         let of_value = number(ui, "value", &mut value, f64::from(span) * 0.002, f32::MIN..=f32::MAX, span);
         of_value.on_hover_text("value of the selected colour stop");
         let shown = self.curve.tone.of_color(self.curve.marks.stops[index].is);
@@ -387,8 +390,11 @@ impl TransferEditor {
         let before = (level, window);
         let speed = f64::from(window) * 0.005;
         ui.horizontal(|ui| {
+            controls::name_cell(ui, "level");
+            controls::fill_row(ui);
             number(ui, "level", &mut level, speed, f32::MIN..=f32::MAX, before.1)
                 .on_hover_text("middle of the function's values; or drag the strip sideways");
+            ui.label("window");
             number(ui, "window", &mut window, speed, 0.0..=f32::MAX, before.1)
                 .on_hover_text("width of the function's values; or drag the strip up and down");
         });
@@ -438,7 +444,9 @@ impl TransferEditor {
 
     fn range_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
         let mut domain = None;
-        ui.horizontal(|ui| {
+        ui.horizontal_wrapped(|ui| {
+            controls::name_cell(ui, "range");
+            ui.spacing_mut().button_padding.x = 6.0;
             for (text, wanted, hint) in [
                 ("full", Domain::Full, "from the least to the greatest value"),
                 (
@@ -458,12 +466,6 @@ impl TransferEditor {
                     domain = Some(wanted);
                 }
             }
-            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-                ui.checkbox(&mut self.is_log, "log").on_hover_text("logarithm of the histogram");
-                if ui.button("fit").on_hover_text("shows the whole function; the wheel zooms").clicked() {
-                    self.fit();
-                }
-            });
         });
         if let Some(domain) = domain {
             let transfer = TransferFunction { domain, ..self.curve.transfer.clone() };
@@ -490,6 +492,12 @@ impl TransferEditor {
             if ui.add_enabled(differs, egui::Button::new("reset")).on_hover_text(hint).clicked() {
                 self.take(self.preset.clone(), scale);
             }
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                controls::checkbox(ui, &mut self.is_log, "log").on_hover_text("logarithm of the histogram");
+                if ui.button("fit").on_hover_text("shows the whole function; the wheel zooms").clicked() {
+                    self.fit();
+                }
+            });
         });
     }
 
@@ -555,7 +563,7 @@ impl TransferEditor {
     }
 }
 
-/// A named number field, with figures for a range that is `span` wide.
+/// A number field behind its name, with figures for a range that is `span` wide.
 fn number(
     ui: &mut Ui,
     name: &str,
@@ -564,7 +572,6 @@ fn number(
     range: std::ops::RangeInclusive<f32>,
     span: f32,
 ) -> egui::Response {
-    ui.label(name);
     let before = *value;
     let field = controls::field(ui, value, |v| format_in(v, span));
     let response = ui.add(field.speed(speed).range(range));
@@ -581,20 +588,8 @@ static PRESETS: LazyLock<BTreeMap<&str, Vec<ControlPoint>>> = LazyLock::new(|| {
     isinglass_formats::preset_names().filter_map(points).collect()
 });
 
+const MOUSE: &str = "click: add   drag: move   Del, middle click: remove";
 /// Factors of opacity and brightness.
 const FACTORS: std::ops::RangeInclusive<f32> = 0.1..=10.0;
 /// Lists of presets and colour maps need no scrolling, points.
 const LIST_HEIGHT: f32 = 460.0;
-
-fn map_label(ui: &mut Ui, map: &ColorMap) -> bool {
-    let is_clicked = ui.horizontal(|ui| {
-        let (rect, _) = ui.allocate_exact_size(vec2(56.0, 12.0), egui::Sense::hover());
-        for i in 0..28 {
-            let left = rect.left() + i as f32 * 2.0;
-            let column = egui::Rect::from_x_y_ranges(left..=left + 2.0, rect.y_range());
-            ui.painter().rect_filled(column, 0.0, plot::color32(map.at(i as f32 / 27.0)));
-        }
-        ui.selectable_label(false, map.name()).clicked()
-    });
-    is_clicked.inner
-}

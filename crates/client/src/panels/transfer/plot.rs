@@ -502,23 +502,19 @@ impl TransferEditor {
         }
     }
 
-    /// The values under the pointer, or what the mouse does.
-    fn hover_text(&self, ui: &mut Ui, scale: &ValueScale, plot: Axes, outer: Rect) {
+    /// The values under the pointer, in the plot's upper left corner.
+    fn hover_text(&self, ui: &Ui, scale: &ValueScale, plot: Axes, outer: Rect) {
         let pointer = ui.input(|i| i.pointer.latest_pos()).filter(|at| outer.contains(*at));
-        let text = match pointer {
-            Some(at) => {
-                let value = plot.value(at.x);
-                let (opacity, share) = (self.curve.at(value).1, scale.share(value) * 100.0);
-                format!(
-                    "value {}   opacity {}   {share:.2} % of voxels",
-                    format_in(value, plot.span()),
-                    format_value(opacity)
-                )
-            }
-            None => "click: add   drag: move   middle click, Del: remove".to_owned(),
-        };
-        let ink = Ink::of(ui);
-        ui.label(egui::RichText::new(text).size(10.5).color(ink.quiet));
+        let Some(at) = pointer else { return };
+        let value = plot.value(at.x);
+        let (opacity, share) = (self.curve.at(value).1, scale.share(value) * 100.0);
+        let text = format!(
+            "value {}   opacity {}   {share:.2} % of voxels",
+            format_in(value, plot.span()),
+            format_value(opacity)
+        );
+        let (ink, corner) = (Ink::of(ui), outer.left_top() + vec2(8.0, 3.0));
+        ui.painter().text(corner, egui::Align2::LEFT_TOP, text, egui::FontId::proportional(11.0), ink.curve);
     }
 }
 

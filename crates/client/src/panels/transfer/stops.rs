@@ -4,6 +4,7 @@ use egui::{
     EventFilter, Key, Modifiers, PointerButton, Pos2, Rect, Response, Role, Sense, Shape, Stroke, Ui,
     WidgetInfo, pos2, vec2,
 };
+use isinglass_formats::ColorMap;
 
 use super::plot::{Axes, GRIP_RADIUS, GripKind, Ink, KEY_STEP, color32};
 use super::{Selected, TransferEditor};
@@ -137,5 +138,20 @@ impl TransferEditor {
 }
 
 pub(super) const STOPS_HEIGHT: f32 = 14.0;
+
+/// A colour map in a list: its colours and its name. Returns whether it was clicked.
+pub(super) fn map_label(ui: &mut Ui, map: &ColorMap) -> bool {
+    let is_clicked = ui.horizontal(|ui| {
+        let (rect, _) = ui.allocate_exact_size(vec2(56.0, 12.0), Sense::hover());
+        for i in 0..28 {
+            let left = rect.left() + i as f32 * 2.0;
+            let column = Rect::from_x_y_ranges(left..=left + 2.0, rect.y_range());
+            ui.painter().rect_filled(column, 0.0, color32(map.at(i as f32 / 27.0)));
+        }
+        ui.selectable_label(false, map.name()).clicked()
+    });
+    is_clicked.inner
+}
+
 /// Half the width of a stop, points.
 const HALF: f32 = 4.5;

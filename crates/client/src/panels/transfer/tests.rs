@@ -262,7 +262,7 @@ fn buttons_set_the_range_and_the_slider_shifts_all_of_it() {
 #[test]
 fn presets_and_colour_maps_are_one_step_each() {
     let mut h = harness("ct");
-    choose(&mut h, "preset", "fluorescence");
+    choose(&mut h, "preset", "Fluorescence");
     assert_eq!(h.state().given, preset("fluorescence").unwrap());
     choose(&mut h, "colour map", "viridis");
     let (mapped, plain) = (h.state().given.clone(), preset("fluorescence").unwrap());
@@ -398,21 +398,21 @@ fn files_are_saved_asked_about_before_they_are_replaced_and_opened_again() {
     h.run();
     click(&mut h, "save");
     wait(&mut h);
-    choose(&mut h, "preset", "mri");
+    choose(&mut h, "preset", "MR");
     click(&mut h, "save");
     wait(&mut h);
     assert!(h.query_by_label_contains("press again to replace").is_some());
     click(&mut h, "open");
     wait(&mut h);
     assert_eq!(h.state().given, mine, "what was there is there still");
-    choose(&mut h, "preset", "mri");
+    choose(&mut h, "preset", "MR");
     h.state_mut().editor.files.forget_that_it_exists();
     h.run();
     click(&mut h, "save");
     wait(&mut h);
     click(&mut h, "replace");
     wait(&mut h);
-    choose(&mut h, "preset", "ct");
+    choose(&mut h, "preset", "CT");
     click(&mut h, "open");
     wait(&mut h);
     assert_eq!(h.state().given, preset("mri").unwrap());

@@ -454,7 +454,17 @@ fn a_look_being_edited_is_seen_in_small_frames() {
     v.refresh(ms(349), at(0.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.asked[num_asked..], [(at(0.0), half)]);
     v.refresh(ms(351), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.asked[num_asked + 1..], [], "the server has not made it yet");
+    v.source.put_look(2, look("skin"));
+    v.source.answer(1, ms(1));
+    v.refresh(ms(500), at(0.0), PICTURE, &BOUNDS);
     assert_eq!(v.source.asked[num_asked + 1..], [(at(0.0), PICTURE)]);
+    // Control: a server that never makes it is asked for the full one in the end.
+    v.set_look(ms(600), look("muscle"));
+    v.refresh(ms(3500), at(0.0), PICTURE, &BOUNDS);
+    assert_ne!(v.source.asked.last().unwrap().1, PICTURE);
+    v.refresh(ms(3700), at(0.0), PICTURE, &BOUNDS);
+    assert_eq!(v.source.asked.last().unwrap(), &(at(0.0), PICTURE));
 }
 
 #[test]
