@@ -21,7 +21,7 @@ mod work;
 
 pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State};
 pub use clock::Clock;
-pub use conditioner::LinkModel;
+pub use conditioner::{LinkModel, NamedLink};
 pub use identity::{Fingerprint, Identity, random_token};
 pub use journal::Journal;
 pub use link::{Link, LinkError, place_of, state_of_link};

@@ -45,6 +45,7 @@ fn common(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConf
     let mut t = TransportConfig::default();
     t.congestion_controller_factory(congestion)
         .ack_frequency_config(Some(acks))
+        .packet_threshold(std::env::var("PT").map_or(3, |v| v.parse().expect("n")))
         .initial_rtt(Duration::from_millis(100))
         .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_MILLIS))));
     t

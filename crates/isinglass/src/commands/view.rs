@@ -1,6 +1,6 @@
 //! `view`: the viewer for a server's link, for a volume of this machine, or with a page to choose one.
 
-use std::io::{self, BufRead};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
@@ -9,6 +9,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
+use isinglass_core::camera::Intrinsics;
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{
     LoadRequest, Remembered, SavedState, Selection, load_transfer, state_from_link, write_whole,
@@ -16,9 +17,10 @@ use isinglass_formats::{
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, state_of_link};
 
 use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
+use super::headless::{self, HeadlessArgs, read_links};
 use crate::args::{
     BackendArgs, ForesightArgs, ListArgs, LookArgs, PartArgs, RawArgs, VolumeArgs, parse_fov, parse_output,
-    parse_size,
+    parse_size, usage_error,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -56,6 +58,8 @@ pub(crate) struct ViewerArgs {
     record: Option<PathBuf>,
     #[command(flatten)]
     lists: ListArgs,
+    #[command(flatten)]
+    headless: HeadlessArgs,
     // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
@@ -84,8 +88,19 @@ enum Target {
 /// An absent or refusing server is an error before any window opens. Later failures, and those of choices in the
 /// window, appear there.
 pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
+    args.headless.check()?;
+    let num_copies = args.headless.num_copies();
+    if num_copies > 1 && !matches!(args.target, Some(Target::Input)) {
+        return Err(usage_error(
+            "each link lets in one viewer, expected - and a link for each on standard input",
+        ));
+    }
+    let mut links = Vec::new();
     let target = match args.target {
-        Some(Target::Input) => Some(Target::Server(read_link(io::stdin().lock())?)),
+        Some(Target::Input) => {
+            links = read_links(io::stdin().lock(), num_copies)?;
+            links.first().cloned().map(Target::Server)
+        }
         target => target,
     };
     let of_link = match &target {
@@ -112,6 +127,24 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             bail!("--channel, --tf, --dims and the like belong to a volume, found none");
         }
         _ => {}
+    }
+    if args.headless.is_on() {
+        let Some(Target::Server(link)) = target else {
+            bail!("found no server's link, expected one; `demo --headless` plays a volume of this machine");
+        };
+        if links.is_empty() {
+            links.push(link);
+        }
+        let [width, height] = args.size;
+        let view = headless::View {
+            orbit: args.orbit,
+            intrinsics: Intrinsics::perspective(width, height, args.fov.to_radians()),
+            is_orthographic: args.orthographic,
+            foresight: args.foresight.foresight(),
+            refresh_hz: args.window.refresh,
+            backend: args.backend.backend,
+        };
+        return args.headless.run(&links, view);
     }
     args.look.mode()?;
     args.look.tf.as_deref().map(load_transfer).transpose()?;
@@ -150,7 +183,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     let foreign_files = args.part.has_foreign_files();
     let request = match target {
         Some(Target::Server(link)) => {
-            let (client, waker) = connect(&link)?;
+            let (client, waker) = connect_waking(&link)?;
             let clock = client.clock().clone();
             let services = local::services(args.backend.backend, limit, foreign_files, None);
             run_window_with_start(window, clock, services, move |wake| {
@@ -206,7 +239,7 @@ fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Resu
 }
 
 /// An admitted client, and the slot for its window's waker.
-fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
+fn connect_waking(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     let waker = Arc::new(OnceLock::<Waker>::new());
     let wakes = waker.clone();
     let wake = Arc::new(move || {
@@ -214,18 +247,17 @@ fn connect(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
             wake();
         }
     });
-    let client = Client::connect(link, ClientOptions { wake, ..ClientOptions::default() })?;
+    Ok((connect(link, ClientOptions { wake, ..ClientOptions::default() })?, waker))
+}
+
+/// An admitted client.
+pub(super) fn connect(link: &Link, options: ClientOptions) -> Result<Client> {
+    let client = Client::connect(link, options)?;
     if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
         let details = problem.details().map_or_else(String::new, |details| format!(" ({details})"));
         bail!("{}: {problem}{details}", link.place());
     }
-    Ok((client, waker))
-}
-
-fn read_link(text: impl BufRead) -> Result<Link> {
-    let mut line = String::new();
-    text.take(LONGEST_LINK).read_line(&mut line).context("standard input")?;
-    line.trim().parse().context("standard input")
+    Ok(client)
 }
 
 /// Anything that is no volume is read as a link, with its errors.
@@ -254,7 +286,5 @@ fn view_of_file(link: &str) -> Option<String> {
     (volume.source.is_some() && volume.link().is_none()).then_some(state)
 }
 
-/// Most bytes that are read from standard input; a state inside has a limit of its own.
-const LONGEST_LINK: u64 = 1 << 20;
 /// Longer than QUIC itself tries on a slow link.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(15);
