@@ -17,7 +17,8 @@ const PATH: &str = "0 10 20\n0.2 10 20\n0.7 40 20\n1 40 20\n";
 
 /// A server of a small volume, and a link for each viewer.
 fn serve(bench: &Bench, num_viewers: usize) -> (Running, Vec<String>) {
-    let line = format!("serve builtin:shells@24 --listen 127.0.0.1:0 --viewers {num_viewers} --backend cpu --json");
+    let line =
+        format!("serve builtin:shells@24 --listen 127.0.0.1:0 --viewers {num_viewers} --backend cpu --json");
     let child = bench.command(&line).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut server = Running(child);
     let mut told = String::new();
@@ -75,7 +76,8 @@ fn several_viewers_load_a_server() {
     let bench = Bench::new();
     bench.write("a.path", PATH);
     let (_server, links) = serve(&bench, 3);
-    let line = "view - --headless --copies 3 --path a.path --out out --size 48x48 --refresh 20 --backend cpu --json";
+    let line =
+        "view - --headless --copies 3 --path a.path --out out --size 48x48 --refresh 20 --backend cpu --json";
     let mut command = bench.command(line);
     let mut viewers =
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

@@ -206,19 +206,19 @@ fn records(mut bytes: &[u8]) -> impl Iterator<Item = (u8, u32, &[u8])> {
     })
 }
 
-/// Streams of 9000 bytes without some packets, with their parity before, behind and in between.
+/// Streams of 700 bytes without some packets, with their parity before, behind and in between.
 fn repair_seeds() -> Vec<Vec<u8>> {
-    let stream: Vec<u8> = (0..9000u32).map(|i| (i * i / 7) as u8).collect();
-    let parities = parity(4, &stream, 0.03, 1200);
+    let stream: Vec<u8> = (0..700u32).map(|i| (i * i / 7) as u8).collect();
+    let parities = parity(4, &stream, 0.03, 150);
     let parts = |lost: &[usize]| -> Vec<Vec<u8>> {
-        let kept = stream.chunks(1150).enumerate().filter(|(i, _)| !lost.contains(i));
-        kept.map(|(i, part)| record(0, 1150 * i as u32, part)).collect()
+        let kept = stream.chunks(100).enumerate().filter(|(i, _)| !lost.contains(i));
+        kept.map(|(i, part)| record(0, 100 * i as u32, part)).collect()
     };
     let parity = |n: usize| parities.iter().take(n).map(|p| record(1, 0, p)).collect::<Vec<_>>().concat();
     let end = record(2, 0, &[]);
     vec![
         [parts(&[2]).concat(), parity(9), end.clone()].concat(),
-        [parity(2), parts(&[0, 7]).concat(), parity(9), end.clone()].concat(),
+        [parity(2), parts(&[0, 6]).concat(), parity(9), end.clone()].concat(),
         [parts(&[]).concat(), end.clone()].concat(),
         [parity(9), end].concat(),
     ]

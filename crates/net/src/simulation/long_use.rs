@@ -132,5 +132,5 @@ fn nothing_stops_or_grows_in_half_an_hour() {
     assert_steady(&use_for(180, 0), 30);
 }
 
-/// A link falls to a twentieth of its rate and gets a round trip of 300 ms. What is on its way then takes a second.
-const LONGEST_GAP_MS: f64 = 1500.0;
+/// A link falls to a tenth of its rate or less, and gets a round trip of 300 ms: most that was on its way is lost.
+const LONGEST_GAP_MS: f64 = 2500.0;
