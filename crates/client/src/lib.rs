@@ -42,6 +42,7 @@ pub use view::frame_source::FrameSource;
 pub use view::headless::{DisplayRecord, HeadlessViewer};
 pub use view::local_servers::{LocalServer, LocalServers};
 pub use view::quality_control::{Quality, QualityControl};
+pub use view::remote_servers::{RemoteServer, RemoteServers};
 pub use view::viewing::{FrameSize, Refresh, Standing, Viewing};
 pub use view::{BoxedSource, Waker};
 pub use window::display::display_available;

@@ -40,8 +40,13 @@ pub enum RecentPlace {
     Server {
         /// Name or address.
         host: String,
-        /// UDP port.
+        /// UDP and TCP port.
         port: u16,
+    },
+    /// A volume on another machine, for which a server is started there.
+    Remote {
+        /// The machine and the path there, as the person wrote them.
+        place: String,
     },
     /// A volume on this machine.
     Volume(VolumeSource),
@@ -127,6 +132,7 @@ struct Stored<E> {
 #[serde(deny_unknown_fields)]
 struct StoredEntry {
     server: Option<String>,
+    remote: Option<String>,
     volume: Option<String>,
     #[serde(default)]
     shows: String,
@@ -142,14 +148,16 @@ struct StoredEntry {
 
 impl StoredEntry {
     fn of(entry: &RecentEntry) -> Self {
-        let (server, volume) = match &entry.place {
-            RecentPlace::Server { host, port } => (Some(format!("{host}:{port}")), None),
-            RecentPlace::Volume(volume) => (None, Some(volume)),
+        let (server, remote, volume) = match &entry.place {
+            RecentPlace::Server { host, port } => (Some(format!("{host}:{port}")), None, None),
+            RecentPlace::Remote { place } => (None, Some(place.clone()), None),
+            RecentPlace::Volume(volume) => (None, None, Some(volume)),
         };
         let selection = volume.map_or(Selection::default(), |v| v.selection);
         let Selection { channel, time, level, series, region } = selection;
         Self {
             server,
+            remote,
             volume: volume.map(|v| v.source.clone()),
             shows: entry.shows.clone(),
             used_at: entry.used_at,
@@ -166,14 +174,17 @@ impl StoredEntry {
     /// The entry, or `None` if it is invalid.
     fn entry(self) -> Option<RecentEntry> {
         let Self { channel, time, level, series, spacing, raw, .. } = self;
-        let place = match (self.server, self.volume) {
-            (Some(server), None) => {
+        let place = match (self.server, self.remote, self.volume) {
+            (Some(server), None, None) => {
                 let (host, port) = server.rsplit_once(':')?;
                 let is_good = !host.is_empty() && !host.chars().any(|c| is_control(c) || c == '#');
                 let port = port.parse().ok().filter(|_| is_good)?;
                 RecentPlace::Server { host: host.to_owned(), port }
             }
-            (None, Some(source)) => {
+            (None, Some(place), None) if !place.is_empty() && !place.chars().any(is_control) => {
+                RecentPlace::Remote { place }
+            }
+            (None, None, Some(source)) => {
                 let region = self.region.and_then(|r| r.parse::<Region>().ok());
                 let selection = Selection { channel, time, level, series, region };
                 let spacing = spacing.map(Vec3::from);
@@ -217,8 +228,14 @@ mod tests {
         list.note(volume("/data/a b.nii", Some(3)));
         list.note(raw_volume("/data/scan.raw"));
         list.note(server(4433, u64::from(u32::MAX)));
+        list.note(remote());
         std::fs::write(&path, list.to_toml()).unwrap();
         assert_eq!(Recent::read(&path).unwrap(), list);
+    }
+
+    fn remote() -> RecentEntry {
+        let place = RecentPlace::Remote { place: "me@gpu:/data/a b.nrrd".into() };
+        RecentEntry { place, shows: "a b.nrrd".into(), used_at: 9 }
     }
 
     fn raw_volume(source: &str) -> RecentEntry {
@@ -297,6 +314,9 @@ mod tests {
             "server = \":1\"",
             "server = \"h:99999\"",
             "server = \"h#token=1:1\"",
+            "remote = \"\"",
+            "remote = \"h:/a\\u001b\"",
+            "remote = \"h:/a\"\nserver = \"h:1\"",
             "",
             "volume = \"/a\"\nspacing = [1.0, nan, 1.0]",
             "volume = \"/a\"\nspacing = [1.0, 1.0]",

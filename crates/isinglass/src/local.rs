@@ -16,6 +16,7 @@ use tokio::runtime::Runtime;
 use crate::args::{ListArgs, LookArgs};
 use crate::library::FileLoader;
 use crate::memory;
+use crate::remote::RemoteArgs;
 use crate::state_args::Seen;
 
 pub(crate) struct Locals {
@@ -116,10 +117,12 @@ pub(crate) fn services(
     max_memory: u64,
     foreign_files: bool,
     first: Option<FirstLook>,
+    remote: RemoteArgs,
 ) -> Services {
     let (opened, first) = (Mutex::new(None), Mutex::new(first));
     Services {
         servers: Arc::new(Locals { backend, opened, max_memory, foreign_files, first }),
+        remote: Some(Arc::new(remote)),
         recent_file: state_folder().map(|folder| folder.join("recent.toml")),
         has_system_dialog: true,
         calendar: || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs()),

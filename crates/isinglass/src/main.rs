@@ -8,19 +8,23 @@ mod args;
 mod clip_args;
 mod commands;
 mod config;
+mod detach;
 mod given;
+mod identity_file;
 mod lens_args;
 mod library;
 mod light_args;
 mod local;
 mod memory;
 mod metrics;
+mod remote;
 mod report;
 mod state_args;
 mod window_args;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
+use std::sync::LazyLock;
 
 use clap::{CommandFactory, FromArgMatches, Parser};
 
@@ -30,7 +34,7 @@ use given::Given;
 
 /// Remote volume rendering that follows the hand at any latency.
 #[derive(Parser)]
-#[command(name = "isinglass", version, arg_required_else_help = true, disable_help_subcommand = true)]
+#[command(name = "isinglass", version = VERSION.as_str(), arg_required_else_help = true, disable_help_subcommand = true)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -64,6 +68,11 @@ fn main() -> ExitCode {
         Err(e) => report::failure(&e),
     }
 }
+
+/// The version of the program and of its protocol, which must be the same on both sides of a connection.
+static VERSION: LazyLock<String> = LazyLock::new(|| {
+    format!("{} (protocol {})", env!("CARGO_PKG_VERSION"), isinglass_core::wire::PROTOCOL_VERSION)
+});
 
 /// The command line without settings.
 fn command() -> clap::Command {

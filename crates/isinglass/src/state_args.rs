@@ -80,6 +80,10 @@ impl Seen {
         Self { state: read.state, given }
     }
 
+    pub(crate) fn given(&self) -> &Given {
+        &self.given
+    }
+
     /// Whether a flag was given that changes the look.
     pub(crate) fn has_flags_of_look(&self) -> bool {
         OF_LOOK.iter().chain(&OF_LIGHT).any(|field| self.given.has(field))

@@ -5,12 +5,14 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use isinglass_core::wire::{ALPN, Token};
+use base64::Engine;
+use isinglass_core::wire::{ALPN, ALPN_ANY, Token};
 use ring::rand::{SecureRandom, SystemRandom};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::{
     CryptoProvider, WebPkiSupportedAlgorithms, ring::default_provider, verify_tls13_signature,
 };
+use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName, UnixTime};
 use rustls::{CertificateError, DigitallySignedStruct, SignatureScheme};
 
@@ -27,6 +29,9 @@ pub enum IdentityError {
     /// The certificate could not be made.
     #[error("cannot make a certificate: {0}")]
     Certificate(#[from] rcgen::Error),
+    /// A text holds no identity.
+    #[error("there is no usable {0} in it")]
+    Pem(&'static str),
     /// TLS rejects it.
     #[error("cannot set up TLS: {0}")]
     Tls(String),
@@ -48,12 +53,39 @@ impl Identity {
         Ok(Self { certificate, key: key.into() })
     }
 
+    /// Reads what [`Self::to_pem`] writes, or any certificate with its PKCS #8 key.
+    ///
+    /// # Errors
+    /// If the text lacks one of them, or the key is not the certificate's.
+    pub fn from_pem(text: &str) -> Result<Self, IdentityError> {
+        let lacks = |what| move |_| IdentityError::Pem(what);
+        let certificate = CertificateDer::from_pem_slice(text.as_bytes()).map_err(lacks("certificate"))?;
+        let key = PrivatePkcs8KeyDer::from_pem_slice(text.as_bytes()).map_err(lacks("private key"))?;
+        let identity = Self { certificate, key };
+        identity.tls()?;
+        Ok(identity)
+    }
+
+    /// The private key and the certificate as PEM (RFC 7468). Whoever has this text passes for the server.
+    pub fn to_pem(&self) -> String {
+        let mut text = String::new();
+        let parts = [("PRIVATE KEY", self.key.secret_pkcs8_der()), ("CERTIFICATE", &self.certificate)];
+        for (label, bytes) in parts {
+            let digits = base64::engine::general_purpose::STANDARD.encode(bytes);
+            let lines: Vec<&str> =
+                (0..digits.len()).step_by(64).map(|i| &digits[i..digits.len().min(i + 64)]).collect();
+            text += &format!("-----BEGIN {label}-----\n{}\n-----END {label}-----\n", lines.join("\n"));
+        }
+        text
+    }
+
     /// The certificate's fingerprint, for links.
     pub fn fingerprint(&self) -> Fingerprint {
         Fingerprint::of(&self.certificate)
     }
 
-    pub(crate) fn tls(&self) -> Result<quinn::crypto::rustls::QuicServerConfig, IdentityError> {
+    /// The TLS of a server, for QUIC and for streams.
+    pub(crate) fn tls(&self) -> Result<Arc<rustls::ServerConfig>, IdentityError> {
         let key = PrivateKeyDer::Pkcs8(self.key.clone_key());
         let tls_error = |e: rustls::Error| IdentityError::Tls(e.to_string());
         let mut config = rustls::ServerConfig::builder_with_provider(Arc::new(default_provider()))
@@ -62,11 +94,10 @@ impl Identity {
             .with_no_client_auth()
             .with_single_cert(vec![self.certificate.clone()], key)
             .map_err(tls_error)?;
-        config.alpn_protocols = vec![ALPN.to_vec()];
+        config.alpn_protocols = vec![ALPN.to_vec(), ALPN_ANY.to_vec()];
         // TLS tickets would be a second way in; ours travel on the control stream.
         config.send_tls13_tickets = 0;
-        quinn::crypto::rustls::QuicServerConfig::try_from(config)
-            .map_err(|e| IdentityError::Tls(e.to_string()))
+        Ok(Arc::new(config))
     }
 }
 
@@ -131,7 +162,7 @@ pub fn random_token() -> Result<Token, IdentityError> {
 /// If TLS cannot be set up.
 pub fn pinned_tls(
     expected: Fingerprint,
-) -> Result<(quinn::crypto::rustls::QuicClientConfig, Arc<Mismatch>), IdentityError> {
+) -> Result<(Arc<rustls::ClientConfig>, Arc<Mismatch>), IdentityError> {
     let provider = Arc::new(default_provider());
     let mismatch = Arc::new(Mismatch::default());
     let verifier = PinnedVerifier::new(expected, &provider, mismatch.clone());
@@ -141,11 +172,26 @@ pub fn pinned_tls(
         .dangerous()
         .with_custom_certificate_verifier(Arc::new(verifier))
         .with_no_client_auth();
-    config.alpn_protocols = vec![ALPN.to_vec()];
+    config.alpn_protocols = vec![ALPN.to_vec(), ALPN_ANY.to_vec()];
     config.resumption = rustls::client::Resumption::disabled();
-    let config = quinn::crypto::rustls::QuicClientConfig::try_from(config)
-        .map_err(|e| IdentityError::Tls(e.to_string()))?;
-    Ok((config, mismatch))
+    Ok((Arc::new(config), mismatch))
+}
+
+/// The settings of QUIC for a server with this TLS.
+pub(crate) fn quic_server(tls: Arc<rustls::ServerConfig>) -> Result<quinn::ServerConfig, IdentityError> {
+    let tls = quinn::crypto::rustls::QuicServerConfig::try_from(tls);
+    let tls = tls.map_err(|e| IdentityError::Tls(e.to_string()))?;
+    Ok(quinn::ServerConfig::with_crypto(Arc::new(tls)))
+}
+
+/// The settings of QUIC for a client with this TLS.
+///
+/// # Errors
+/// If TLS lacks what QUIC needs.
+pub fn quic_client(tls: Arc<rustls::ClientConfig>) -> Result<quinn::ClientConfig, IdentityError> {
+    let tls = quinn::crypto::rustls::QuicClientConfig::try_from(tls);
+    let tls = tls.map_err(|e| IdentityError::Tls(e.to_string()))?;
+    Ok(quinn::ClientConfig::new(Arc::new(tls)))
 }
 
 /// The fingerprint of a server that showed another certificate than expected.
@@ -224,6 +270,19 @@ const FINGERPRINT_PREFIX: &str = "sha256:";
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_identity_survives_its_text_and_a_damaged_one_is_refused() {
+        let (a, b) = (Identity::generate().unwrap(), Identity::generate().unwrap());
+        let text = a.to_pem();
+        assert_eq!(Identity::from_pem(&text).unwrap().fingerprint(), a.fingerprint());
+        let (key, certificate) = text.split_at(text.find("-----BEGIN CERT").unwrap());
+        let of_b = b.to_pem();
+        let other_key = &of_b[..of_b.find("-----BEGIN CERT").unwrap()];
+        for bad in ["", key, certificate, &text[..text.len() / 2], &format!("{other_key}{certificate}")] {
+            assert!(Identity::from_pem(bad).is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn fingerprints_differ_and_survive_their_text() {

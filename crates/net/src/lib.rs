@@ -1,9 +1,10 @@
-//! Carries the sessions of `isinglass-core` over QUIC: certificates and links, a server, a client that never blocks a
+//! Carries the sessions of `isinglass-core` over QUIC, on UDP or where that does not come through on TCP: certificates and links, a server, a client that never blocks a
 //! display loop, and a link conditioner that adds delay, loss and a rate limit to real endpoints.
 //!
 //! This crate holds no rule of the protocol. `isinglass_core::session` decides which chunks to send, whom to admit
 //! and what to decode. Here are sockets, streams, timers, threads and the generator of secrets.
 
+mod carrier;
 pub mod client;
 mod clock;
 pub mod conditioner;
@@ -19,7 +20,8 @@ mod talk;
 mod transport;
 mod work;
 
-pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State};
+pub use carrier::Carrier;
+pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State, Tunnel};
 pub use clock::Clock;
 pub use conditioner::{LinkModel, NamedLink};
 pub use identity::{Fingerprint, Identity, random_token};

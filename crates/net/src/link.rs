@@ -19,7 +19,7 @@ use crate::identity::Fingerprint;
 pub struct Link {
     /// Name or address; an IPv6 address without brackets.
     pub host: String,
-    /// UDP port.
+    /// UDP and TCP port.
     pub port: u16,
     /// Admits one viewer.
     pub token: Token,

@@ -4,9 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use quinn::congestion::ControllerFactory;
-use quinn::{AckFrequencyConfig, IdleTimeout, TransportConfig, VarInt};
+use quinn::crypto::rustls::HandshakeData;
+use quinn::{AckFrequencyConfig, Connection, IdleTimeout, TransportConfig, VarInt};
 
-use isinglass_core::wire::POSE_BYTES;
+use isinglass_core::wire::{ALPN_ANY, POSE_BYTES};
 
 use crate::congestion::ViewerWindow;
 
@@ -22,6 +23,8 @@ pub(crate) const CLOSE_REPLACED: VarInt = VarInt::from_u32(3);
 pub(crate) const CLOSE_SESSION: VarInt = VarInt::from_u32(4);
 /// No packet arrived for [`SILENCE_LIMIT`].
 pub(crate) const CLOSE_SILENT: VarInt = VarInt::from_u32(5);
+/// The peers share no version of the protocol; the reason is the server's version notice.
+pub(crate) const CLOSE_VERSION: VarInt = VarInt::from_u32(6);
 /// The frame of a stream is superseded.
 pub(crate) const RESET_SUPERSEDED: VarInt = VarInt::from_u32(1);
 /// The client has restored the rest of the stream from its parity.
@@ -83,4 +86,10 @@ pub(crate) fn client() -> TransportConfig {
         .datagram_send_buffer_size(2 * POSE_BYTES)
         .keep_alive_interval(Some(KEEP_ALIVE));
     t
+}
+
+/// Whether the handshake of a connection has found no common version of the protocol.
+pub(crate) fn has_no_common_version(connection: &Connection) -> bool {
+    let data = connection.handshake_data().and_then(|data| data.downcast::<HandshakeData>().ok());
+    data.is_some_and(|data| data.protocol.as_deref() == Some(ALPN_ANY))
 }

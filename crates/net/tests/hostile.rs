@@ -11,7 +11,7 @@ use common::*;
 use isinglass_core::ids::{FrameId, PoseId};
 use isinglass_core::wire::control::{self, hello};
 use isinglass_core::wire::{ALPN, ClientMessage, PROTOCOL_VERSION, Refusal, ServerMessage, Token};
-use isinglass_net::identity::pinned_tls;
+use isinglass_net::identity::{pinned_tls, quic_client};
 use isinglass_net::{
     BindError, ConnectError, Fingerprint, Identity, Link, Server, ServerOptions, State, random_token,
 };
@@ -31,7 +31,7 @@ async fn raw(link: &Link) -> Raw {
     let (tls, _) = pinned_tls(link.fingerprint).unwrap();
     let endpoint = Endpoint::client(([127, 0, 0, 1], 0).into()).unwrap();
     let address: SocketAddr = ([127, 0, 0, 1], link.port).into();
-    let config = quinn::ClientConfig::new(Arc::new(tls));
+    let config = quic_client(tls).unwrap();
     let connection = endpoint.connect_with(config, address, "isinglass").unwrap().await.unwrap();
     let (send, recv) = connection.open_bi().await.unwrap();
     Raw { _endpoint: endpoint, connection, send, recv }
@@ -321,22 +321,7 @@ async fn a_server_that_speaks_garbage_is_given_up() {
 /// A server with the right certificate that says these bytes on the control stream, and the number of its connections.
 fn forged_server(bytes: Vec<u8>) -> (Link, Arc<std::sync::atomic::AtomicU32>) {
     let num = Arc::new(std::sync::atomic::AtomicU32::new(0));
-    let identity = rcgen::KeyPair::generate().unwrap();
-    let certificate =
-        rcgen::CertificateParams::new(vec!["isinglass".into()]).unwrap().self_signed(&identity).unwrap();
-    let mut tls =
-        rustls::ServerConfig::builder_with_provider(Arc::new(rustls::crypto::ring::default_provider()))
-            .with_protocol_versions(&[&rustls::version::TLS13])
-            .unwrap()
-            .with_no_client_auth()
-            .with_single_cert(vec![certificate.der().clone()], identity.into())
-            .unwrap();
-    tls.alpn_protocols = vec![ALPN.to_vec()];
-    let digest = ring::digest::digest(&ring::digest::SHA256, certificate.der());
-    let hex: String = digest.as_ref().iter().map(|b| format!("{b:02x}")).collect();
-    let tls = quinn::crypto::rustls::QuicServerConfig::try_from(tls).unwrap();
-    let config = quinn::ServerConfig::with_crypto(Arc::new(tls));
-    let endpoint = Endpoint::server(config, ([127, 0, 0, 1], 0).into()).unwrap();
+    let (endpoint, fingerprint) = forged_endpoint(&[ALPN]);
     let port = endpoint.local_addr().unwrap().port();
     let counter = num.clone();
     tokio::spawn(async move {
@@ -348,6 +333,5 @@ fn forged_server(bytes: Vec<u8>) -> (Link, Arc<std::sync::atomic::AtomicU32>) {
             connection.closed().await;
         }
     });
-    let fingerprint = format!("sha256:{hex}").parse().unwrap();
     (Link { host: "127.0.0.1".into(), port, token: t(), fingerprint, state: None }, num)
 }

@@ -6,6 +6,7 @@
 //! that the coder and the network are free when it is done. None is made for a pose that has been answered. At rest
 //! the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
+mod audience;
 mod company;
 mod counters;
 mod frame_memory;
@@ -33,6 +34,7 @@ use isinglass_render::Backend;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
+use audience::Audience;
 use frame_memory::FrameMemory;
 use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
@@ -130,15 +132,22 @@ enum Command {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
+    start_as(&Identity::generate()?, options)
+}
+
+/// The same with an identity that outlives the server.
+///
+/// # Errors
+/// If the address is taken or the volume does not fit the backend.
+pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningServer, ServeError> {
     let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
         options;
     let Timing { clock, after_work } = timing;
     let scene = Scene::new(volume, &look.transfer, look.march_settings());
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
     let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts));
-    let identity = Identity::generate()?;
     let options = isinglass_net::ServerOptions { max_viewers, clock };
-    let server = Server::bind(listen, &identity, options, present.greeting.clone())?;
+    let server = Server::bind(listen, identity, options, present.greeting.clone())?;
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
     let counters = Counters::new(server.refusals());
     let lights = present.lights.clone();
@@ -172,6 +181,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
         slice_makers,
         memory,
         counters: counters.clone(),
+        audience: Audience::default(),
     };
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);

@@ -1,5 +1,6 @@
 //! The server's task, and one task per viewer.
 
+mod following;
 mod frames;
 mod sizes;
 
@@ -19,6 +20,7 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use crate::audience::{Audience, Presence};
 use crate::counters::Counters;
 use crate::frame_memory::{FrameMemory, Held};
 use crate::generator::Generator;
@@ -28,6 +30,7 @@ use crate::selection::{Order, Present, SelectionReader};
 use crate::slices::{SliceMakers, Slices};
 use crate::{Attendance, Command};
 
+use following::{Led, next_led};
 use sizes::FrameSizes;
 
 /// State that all viewers share.
@@ -44,6 +47,7 @@ pub(crate) struct Common {
     pub(crate) slice_makers: Arc<SliceMakers>,
     pub(crate) memory: FrameMemory,
     pub(crate) counters: Counters,
+    pub(crate) audience: Audience,
 }
 
 /// Admits viewers until told to close.
@@ -111,6 +115,11 @@ struct Viewer {
     refining: Option<(LookVersion, JoinHandle<bool>)>,
     screenshots: Screenshots,
     slices: Slices,
+    presence: Presence,
+    /// Notified when viewers come, leave or follow.
+    viewers_changed: watch::Receiver<()>,
+    /// Whom it follows.
+    led: Option<Led>,
 }
 
 impl Drop for Viewer {
@@ -141,6 +150,9 @@ impl Viewer {
         let slices = Slices::new(common.slice_makers.clone(), frames.clone(), control.clone());
         let pipeline = Pipeline::new(frames, control, session.journal.clone(), &common);
         let held = common.memory.nothing();
+        let mut viewers_changed = common.audience.subscribe();
+        let presence = common.audience.enter(session.viewer, session.id, &session.name);
+        viewers_changed.mark_changed();
         Self {
             session,
             common,
@@ -156,6 +168,9 @@ impl Viewer {
             refining: None,
             screenshots,
             slices,
+            presence,
+            viewers_changed,
+            led: None,
         }
     }
 
@@ -178,7 +193,7 @@ impl Viewer {
     async fn step(&mut self) -> bool {
         self.take_requests().await;
         self.send_finer();
-        let dues = [self.advance(), self.refine()];
+        let dues = [self.advance(), self.refine(), self.look_after_leader()];
         let due = dues.into_iter().flatten().min();
         tokio::select! {
             biased;
@@ -204,6 +219,18 @@ impl Viewer {
             }
             event = self.pipeline.next() => self.handle(event),
             () = self.slices.next() => true,
+            Ok(()) = self.viewers_changed.changed() => {
+                self.tell_viewers();
+                true
+            }
+            () = self.presence.joined() => {
+                self.lead_at_rest();
+                true
+            }
+            frame = next_led(&mut self.led) => {
+                self.take_led(frame);
+                true
+            }
             // This comes last because a moving camera always has another pose.
             is_here = self.session.hear() => is_here,
             () = tokio::time::sleep_until(due.unwrap_or_else(Instant::now)), if due.is_some() => true,
@@ -213,7 +240,7 @@ impl Viewer {
     /// Takes the viewer's requests so far.
     async fn take_requests(&mut self) {
         let now = self.now_micros();
-        let (pose, order, shot, look, is_new_look);
+        let (pose, order, shot, look, leader, is_new_look);
         {
             let mut talk = self.session.talk();
             let wanted = talk.quietly().look.poll_wanted();
@@ -232,11 +259,19 @@ impl Viewer {
             let quiet = talk.quietly();
             (pose, order) = (quiet.pose.poll_new(), quiet.selection.poll_order());
             (shot, look) = (quiet.screenshot.poll_request(), quiet.look.look().clone());
+            leader = quiet.viewers.poll_wanted();
+        }
+        if let Some(leader) = leader {
+            self.follow(leader);
         }
         if is_new_look {
+            // An own look is for own frames.
+            if self.led.is_some() {
+                self.follow(None);
+            }
             self.note_look();
         }
-        if let Some(pose) = pose {
+        if let Some(pose) = pose.filter(|_| self.led.is_none()) {
             self.note_pose(&pose);
         }
         if let Some(shot) = shot {
@@ -264,6 +299,9 @@ impl Viewer {
             talk.slices.handle_volume(since);
         }
         self.frames.handle_volume();
+        if let Some(led) = &mut self.led {
+            led.request = None;
+        }
         self.sizes = FrameSizes::default();
         self.forget_sent();
         self.occlusion = None;
@@ -288,6 +326,10 @@ impl Viewer {
     /// Computes the shade of a resting look beside the frames, and cancels that of a replaced one. Returns when to
     /// ask again.
     fn refine(&mut self) -> Option<Instant> {
+        if self.led.is_some() {
+            // The leader has it computed.
+            return None;
+        }
         let now = self.now_micros();
         let mut talk = self.session.talk();
         if let Some((_, outdated)) = self.refining.take_if(|(version, _)| !talk.look.is_refining(*version)) {

@@ -105,11 +105,15 @@ impl Gaps {
     }
 }
 
-/// For each rest, the time from the stop to the first exact picture.
+/// For each rest, the time from the camera's last movement to the first exact picture. A recorded path may end with a
+/// rest of its own.
 fn settle_times(script: &Script, ticks: &[Tick]) -> impl Iterator<Item = Option<Duration>> {
     script.rests().into_iter().map(|rest| {
-        let mut resting = ticks.iter().filter(|t| rest.contains(&t.at));
-        resting.find(|t| t.standing == Standing::Exact).map(|t| t.at - rest.start)
+        let until = &ticks[..ticks.partition_point(|t| t.at < rest.end)];
+        let stop = until.windows(2).rposition(|pair| pair[0].input != pair[1].input).map_or(0, |i| i + 1);
+        let stopped = until.get(stop)?.at;
+        let exact = until[stop..].iter().find(|t| t.standing == Standing::Exact)?;
+        Some(exact.at - stopped)
     })
 }
 
@@ -199,11 +203,18 @@ pub(super) mod tests {
         for tick in &mut ticks {
             tick.frame_age = Some(Duration::from_millis(if tick.at.as_millis() < 1900 { 50 } else { 90 }));
         }
-        // The first rest begins after two seconds.
+        // The first rest begins after two seconds, the second movement after 3.5, and a rest is in it before it ends.
+        let inputs: Vec<_> = ticks.iter().map(|t| t.input).collect();
+        for (i, tick) in ticks.iter_mut().enumerate() {
+            tick.input = inputs[if (20..35).contains(&i) { 20 } else { i.min(50) }];
+        }
         ticks[25].standing = Standing::Exact;
+        ticks[53].standing = Standing::Exact;
         let shown = ShownFrames::of(&script(), &ticks, Duration::ZERO);
         assert_eq!((shown.frame_age_ms_p50, shown.frame_age_ms_p99), (50.0, 90.0));
-        assert_eq!(shown.exact_after_ms, [Some(500.0), None]);
+        assert_eq!(shown.exact_after_ms, [Some(500.0), Some(300.0)]);
+        ticks[53].standing = Standing::Refining;
+        let shown = ShownFrames::of(&script(), &ticks, Duration::ZERO);
         assert_eq!(shown.exact_in_words(), "500 ms and never");
         // A new frame at each refresh: ten a second.
         assert!((8.0..=10.0).contains(&shown.frames_per_second), "{shown:?}");

@@ -141,7 +141,7 @@ fn visit(
     let rests = script.rests();
     let mut refreshed = Vec::with_capacity(course.num_periods(&script));
     let mut bytes = BTreeMap::new();
-    let (mut rest, mut since_collected) = (None, 0);
+    let (mut rest, mut since_collected, mut num_refreshes) = (None, 0, 0u64);
     course.play(&script, &mut viewer, |moment, viewer, record| {
         let rest_now = rests.iter().position(|rest| rest.contains(&moment.at));
         let mut painted = painter::Painted::default();
@@ -150,10 +150,11 @@ fn visit(
                 pictures.put(&format!("rest-{}", ended + 1), painter.picture());
             }
             painted = painter.paint(&record)?;
-            if options.every.is_some_and(|n| moment.number.is_multiple_of(n as usize)) {
+            if options.every.is_some_and(|n| num_refreshes % u64::from(n) == 0) {
                 pictures.put(&format!("t{:07.3}s", moment.at.as_secs_f64()), painter.picture());
             }
         }
+        num_refreshes += 1;
         rest = rest_now;
         let (stats, is_connected) = (record.stats, record.state == State::Connected);
         if let Some(mut tick) = Tick::of(moment, record, false) {

@@ -49,9 +49,10 @@ impl Painter {
         Self { backend, quality: QualityControl::new(refresh_hz), moved: None, cast: None }
     }
 
-    /// The picture on the screen.
-    pub(super) fn picture(&self) -> Option<Arc<Picture>> {
-        self.cast.as_ref().map(|cast| cast.picture.clone())
+    /// The picture on the screen, and the size at which it is shown.
+    pub(super) fn picture(&self) -> Option<(Arc<Picture>, [u32; 2])> {
+        let Cast { camera, picture, .. } = self.cast.as_ref()?;
+        Some((picture.clone(), [camera.intrinsics.width, camera.intrinsics.height]))
     }
 
     /// Casts what a refresh shows. The picture of a camera and a frame at rest is there already.

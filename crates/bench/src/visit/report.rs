@@ -23,8 +23,8 @@ pub struct VisitReport {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Visit {
     pub(crate) server: String,
-    /// What carries the session.
-    pub(crate) carrier: &'static str,
+    /// What carried the packets at the end.
+    pub(crate) carrier: String,
     /// Where pictures were cast; `None` for a viewer that only loads the server.
     pub(crate) backend: Option<String>,
     pub(crate) size: [u32; 2],
@@ -75,7 +75,7 @@ impl Visit {
         let seconds = last.map_or(0.0, |r| r.tick.at.as_secs_f64());
         Self {
             server: options.server.clone(),
-            carrier: CARRIER,
+            carrier: last.map_or_else(String::new, |r| r.stats.carrier.to_string()),
             backend: seen.description.clone(),
             size: [options.intrinsics.width, options.intrinsics.height],
             refresh_hz: options.refresh_hz,
@@ -188,13 +188,14 @@ pub(super) fn write_refreshes(out: &Path, seen: &Seen) -> Result<(), BenchError>
             [tick.input.eye.to_array().to_vec(), tick.input.world_from_view.to_array().to_vec()];
         let numbers: Vec<String> = eye.iter().chain(&turn).map(|x| format!("{x:.6}")).collect();
         text += &format!(
-            "{:.4},{},{},{age},{:.1},{scale},{num_kept},{},{},{CARRIER},{is_connected},{:.1},{:.2},{}\n",
+            "{:.4},{},{},{age},{:.1},{scale},{num_kept},{},{},{},{is_connected},{:.1},{:.2},{}\n",
             tick.at.as_secs_f64(),
             tick.standing.word(),
             tick.frame.0,
             millis(*paint),
             numbers.join(","),
             tick.frame_bytes,
+            stats.carrier,
             stats.rtt_micros as f64 / 1e3,
             stats.bytes_per_second * 8e-6,
             stats.lost_packets,
@@ -205,5 +206,3 @@ pub(super) fn write_refreshes(out: &Path, seen: &Seen) -> Result<(), BenchError>
 
 const COLUMNS: &str = "time_s,standing,frame,frame_age_ms,paint_ms,picture_scale,kept_frames,eye_x,eye_y,eye_z,turn_x,\
                        turn_y,turn_z,turn_w,frame_bytes,carrier,is_connected,rtt_ms,received_mbit,lost_packets\n";
-/// The session's carrier.
-const CARRIER: &str = "quic";

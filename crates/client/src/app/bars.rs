@@ -11,6 +11,7 @@ use crate::panels::status;
 use crate::panels::style::{self, bar, quiet};
 use crate::panels::text::format_duration;
 use crate::panels::toolbar::{TOOLBAR_HEIGHT, Toolbar, ToolbarWish};
+use crate::panels::viewers;
 use crate::view::frame_source::FrameSource;
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -22,7 +23,10 @@ impl<S: FrameSource> ViewerApp<S> {
             let wish = toolbar.show(ui, |ui| self.toolbar().show(ui)).inner;
             self.choose(now, wish);
             let line = Panel::bottom("status line").frame(bar(&ctx)).exact_size(STATUS_HEIGHT);
-            line.show(ui, |ui| self.status_line(ui));
+            if let Some(leader) = line.show(ui, |ui| self.status_line(ui)).inner {
+                self.viewing.source().talk().viewers.follow(leader);
+                self.joins_leader = leader.is_some();
+            }
             self.show_look_panel(ui, now);
             self.show_measure_bar(ui);
         }
@@ -63,8 +67,8 @@ impl<S: FrameSource> ViewerApp<S> {
         }
     }
 
-    /// One line: how to get help, and the server with its round trip.
-    fn status_line(&self, ui: &mut Ui) {
+    /// One line: the volume, the people there, and the server with its round trip. Returns whom to follow.
+    fn status_line(&self, ui: &mut Ui) -> Option<Option<u32>> {
         let small = |text: String| RichText::new(text).size(12.0).color(quiet(ui.ctx()));
         let (source, name) = (self.viewing.source(), &self.options.server_name);
         let (state, stats) = (source.state(), source.stats());
@@ -81,8 +85,14 @@ impl<S: FrameSource> ViewerApp<S> {
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 status::connection_dot(ui, &state, is_silent);
                 ui.add(egui::Label::new(server).truncate());
-            });
-        });
+                let talk = source.talk();
+                let (list, following) = (talk.viewers.list().to_vec(), talk.viewers.following().cloned());
+                drop(talk);
+                viewers::show(ui, &list, following.as_ref())
+            })
+            .inner
+        })
+        .inner
     }
 
     /// The room for panes at the top: beside the badge, or below it if there is too little.

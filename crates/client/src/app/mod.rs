@@ -98,6 +98,8 @@ pub(crate) struct ViewerApp<S> {
     shown_volume: Option<ShownVolume>,
     controls: Option<(Aabb, CameraControls)>,
     moves: CameraMoves,
+    /// Whether the camera goes to that of the person to follow, once a frame shows it.
+    joins_leader: bool,
     /// Whether the camera is on its way to a chosen view.
     is_turning: bool,
     up_axis: UpAxis,
@@ -195,6 +197,7 @@ impl<S: FrameSource> ViewerApp<S> {
             shown_volume: None,
             controls: None,
             moves: CameraMoves::default(),
+            joins_leader: false,
             is_turning: false,
             up_axis: UpAxis::default(),
             named_views: Vec::new(),

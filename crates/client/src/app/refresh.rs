@@ -192,6 +192,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         self.record(now, &pose, &bounds);
         let mut refresh = self.viewing.refresh(now, camera.pose, camera.intrinsics, &bounds);
+        self.join_leader(now, refresh.frame.as_deref());
         let is_of_other_method = self.novel_views.selected != 0;
         if (!self.stereo().is_mono() || is_of_other_method) && refresh.standing == Standing::Exact {
             // Each eye sees a novel view of the middle's frame, and other methods make other pictures.
@@ -213,8 +214,10 @@ impl<S: FrameSource> ViewerApp<S> {
     /// How long the window may sleep if nothing happens; none: until something does. Frames, pointer and keys wake
     /// it.
     fn rest(&self, refresh: Option<&Refresh>, state: &State) -> Option<Duration> {
-        let is_settled = refresh
-            .is_some_and(|r| matches!(r.standing, Standing::Exact | Standing::Settled | Standing::Offline));
+        let is_settled = refresh.is_some_and(|r| {
+            use Standing::{Exact, Following, Offline, Settled};
+            matches!(r.standing, Exact | Settled | Following | Offline)
+        });
         let is_dead = matches!(state, State::Refused(_));
         if refresh.is_some_and(|r| r.is_ahead) && !is_dead {
             return Some(STILL);
@@ -283,6 +286,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let round_trip = is_connected.then(|| micros(stats.rtt_micros)).flatten();
         OverlayModel {
             state,
+            carrier: stats.carrier,
             standing: refresh.standing,
             silence: is_silent.then(|| Duration::from_micros(stats.silence_micros)),
             round_trip,

@@ -2,8 +2,10 @@
 
 use std::time::Duration;
 
-use isinglass_core::camera::Intrinsics;
+use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::ids::PoseId;
 use isinglass_formats::{MAX_VIEWS, NamedView, UpAxis};
+use isinglass_net::ReceivedFrame;
 
 use super::{ViewerApp, is_free};
 use crate::input::camera_controls::CameraControls;
@@ -103,6 +105,26 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
             }
             NamedViewWish::Remove(_) => {}
+        }
+    }
+
+    /// Goes to the camera of the person to follow, once a frame shows it.
+    pub(super) fn join_leader(&mut self, now: Duration, frame: Option<&ReceivedFrame>) {
+        // A frame of a leader answers no pose of this viewer.
+        let Some(frame) = frame.filter(|f| self.joins_leader && f.frame.header.pose == PoseId(0)) else {
+            return;
+        };
+        let Some((_, controls)) = &self.controls else { return };
+        self.joins_leader = false;
+        let Camera { pose, intrinsics, .. } = frame.frame.header.camera;
+        let center = controls.center();
+        let is_orthographic = intrinsics.projection.is_orthographic();
+        let from = Viewpoint::of(controls, self.is_orthographic);
+        let (world_from_view, eye_from_center) = (pose.world_from_view, pose.eye - center);
+        let to = Viewpoint { center, world_from_view, eye_from_center, is_orthographic };
+        if to.place(&mut controls.clone()) {
+            self.is_orthographic = is_orthographic;
+            self.moves.turn(now, from, to);
         }
     }
 

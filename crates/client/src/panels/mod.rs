@@ -30,3 +30,4 @@ pub(crate) mod text;
 pub(crate) mod toolbar;
 pub(crate) mod transfer;
 pub(crate) mod value_scale;
+pub(crate) mod viewers;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use egui::{Align2, Color32, RichText, Ui, vec2};
-use isinglass_net::State;
+use isinglass_net::{Carrier, State};
 use lucide_icons::Icon;
 
 use super::style::{self, bright, icon, pane_at, quiet};
@@ -15,6 +15,8 @@ use crate::view::viewing::Standing;
 pub struct OverlayModel {
     /// The connection.
     pub state: State,
+    /// What carries its packets.
+    pub carrier: Carrier,
     /// How the picture relates to the server's.
     pub standing: Standing,
     /// How long a connected server has not answered, if it should have.
@@ -62,7 +64,7 @@ impl OverlayModel {
             ViewTime::Unknown => ("novel view", dash()),
         };
         vec![
-            ("link", state_word(&self.state).to_owned()),
+            ("link", self.link()),
             ("round trip", duration(self.round_trip)),
             ("frame age", if is_current { "current".to_owned() } else { duration(self.frame_age) }),
             ("turned by", self.turned_degrees.map_or_else(dash, |d| format!("{d:.1}°"))),
@@ -75,6 +77,11 @@ impl OverlayModel {
                 self.refreshes_per_second.map_or_else(|| "at rest".to_owned(), |f| format!("{f:.0} fps")),
             ),
         ]
+    }
+
+    fn link(&self) -> String {
+        let word = state_word(&self.state);
+        if self.state == State::Connected { format!("{word}, {}", self.carrier) } else { word.to_owned() }
     }
 
     /// One line about trouble of the connection. The last picture stays in use.
@@ -108,6 +115,7 @@ impl Standing {
             Self::Waiting => "waiting",
             Self::Moving => "moving",
             Self::Refining => "refining",
+            Self::Following => "following",
             Self::Offline => "offline",
             Self::Settled => "settled",
             Self::Exact => "exact",
@@ -120,6 +128,7 @@ impl Standing {
             Self::Waiting => "There is no picture yet.",
             Self::Moving => "Drawn here, at once, from the newest layered frame.",
             Self::Refining => "The server's frame for this view is on its way.",
+            Self::Following => "Drawn here from the pictures of the person that you follow.",
             Self::Offline => "Drawn here from the last frame that came: there is no connection.",
             Self::Settled => {
                 "The server's whole frame for this view, at another size than the window's or for two eyes."
@@ -217,7 +226,7 @@ pub(crate) fn connection_dot(ui: &mut Ui, state: &State, is_silent: bool) {
 fn color(ui: &Ui, standing: Standing) -> Color32 {
     match standing {
         Standing::Exact | Standing::Settled => style::done(ui.ctx()),
-        Standing::Moving | Standing::Refining => style::accent(ui.ctx()),
+        Standing::Moving | Standing::Refining | Standing::Following => style::accent(ui.ctx()),
         Standing::Offline => style::amber(ui.ctx()),
         Standing::Waiting => quiet(ui.ctx()),
     }
@@ -265,6 +274,7 @@ mod tests {
     fn model() -> OverlayModel {
         OverlayModel {
             state: State::Connected,
+            carrier: Carrier::Udp,
             standing: Standing::Moving,
             silence: None,
             round_trip: Some(Duration::from_millis(201)),
@@ -286,7 +296,7 @@ mod tests {
     fn every_number_is_shown_with_its_unit() {
         let m = model();
         for (name, text) in [
-            ("link", "connected"),
+            ("link", "connected, UDP"),
             ("round trip", "201 ms"),
             ("frame age", "268 ms"),
             ("turned by", "7.9°"),

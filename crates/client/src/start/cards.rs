@@ -68,6 +68,7 @@ pub(super) fn recent_card(
         texts.text(at, Align2::LEFT_TOP, &name, FontId::proportional(TEXT_SIZE), bright(&ctx));
         let when = match entry.place {
             RecentPlace::Server { .. } => format!("server, {}", ago(now, entry.used_at)),
+            RecentPlace::Remote { .. } => format!("by ssh, {}", ago(now, entry.used_at)),
             RecentPlace::Volume(_) => ago(now, entry.used_at),
         };
         texts.text(at + vec2(0.0, 19.0), Align2::LEFT_TOP, when, FontId::proportional(12.0), quiet(&ctx));
@@ -106,6 +107,7 @@ fn name_and_place(entry: &RecentEntry) -> (String, String) {
         RecentPlace::Server { host, port } => {
             (place_of(host, *port), format!("a server, which showed {}", entry.shows))
         }
+        RecentPlace::Remote { place } => (entry.shows.clone(), place.clone()),
         RecentPlace::Volume(VolumeSource { source, raw, selection, spacing, .. }) => {
             let part = [
                 ("channel", selection.channel),

@@ -119,9 +119,12 @@ impl StartWindow {
         };
         match first {
             First::StartPage => {}
-            First::Connected { source, link } => {
+            First::Connected { source, link, remote } => {
                 let shows = source.description().map(|d| d.volume.name.clone()).unwrap_or_default();
-                let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
+                let place = match remote {
+                    Some(place) => RecentPlace::Remote { place },
+                    None => RecentPlace::Server { host: link.host.clone(), port: link.port },
+                };
                 let origin = Origin { server_name: link.place(), link: Some(link), ..Origin::default() };
                 window.show_opened(Opened { source, origin, server: None, place, shows }, ctx);
             }
@@ -211,6 +214,11 @@ impl StartWindow {
     fn fulfil(&mut self, wish: PageWish, ctx: &egui::Context) {
         match wish {
             PageWish::Connect(link) => self.connect(&link, None),
+            PageWish::ConnectRemote(act, place) => {
+                if let Some(servers) = self.services.remote.clone() {
+                    self.opening = Some(Opening::remote(act, place, servers, &self.clock, &self.wake));
+                }
+            }
             PageWish::ChooseFile => self.choose(Wanted::File, ctx),
             PageWish::ChooseFolder => self.choose(Wanted::Folder, ctx),
             PageWish::Open(request) => self.open(Act::Open, request),

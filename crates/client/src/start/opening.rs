@@ -7,13 +7,14 @@ use isinglass_core::volume::Volume;
 use isinglass_formats::{
     LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, state_from_link,
 };
-use isinglass_net::{Client, ClientOptions, Clock, Link, State};
+use isinglass_net::{Client, ClientOptions, Clock, Link, State, Tunnel};
 
 use super::page::Act;
 use crate::app::Origin;
 use crate::panels::background::Background;
 use crate::panels::text::sentence;
 use crate::view::local_servers::{LocalServer, LocalServers, survey};
+use crate::view::remote_servers::{RemoteServer, RemoteServers};
 use crate::view::{BoxedSource, Waker};
 
 /// Something that is being opened. Dropping it cancels.
@@ -31,6 +32,7 @@ pub(crate) struct Opening {
 }
 
 enum OpeningStep {
+    Asking(Background<RemoteServer>),
     Surveying(Local, Background<Outline>),
     Reading(Local, Loading),
     Starting(Background<LocalServer>),
@@ -57,7 +59,7 @@ impl Opening {
     pub(crate) fn connect(act: Act, link: &Link, clock: &Clock, wake: &Waker) -> Result<Self, String> {
         let place = RecentPlace::Server { host: link.host.clone(), port: link.port };
         let state = link.state.as_deref().map(state_from_link).transpose().map_err(|e| sentence(&e))?;
-        let client = client(link, clock, wake)?;
+        let client = client(link, None, clock, wake)?;
         let name = link.place();
         let origin =
             Origin { server_name: name.clone(), link: Some(link.clone()), volume_source: None, state };
@@ -72,6 +74,28 @@ impl Opening {
             outline: None,
             server: None,
         })
+    }
+
+    /// Starts a server on another machine for the volume that `place` names, and connects to it.
+    pub(crate) fn remote(
+        act: Act,
+        place: String,
+        servers: Arc<dyn RemoteServers>,
+        clock: &Clock,
+        wake: &Waker,
+    ) -> Self {
+        let named = place.clone();
+        Self {
+            name: place.clone(),
+            act,
+            place: RecentPlace::Remote { place },
+            origin: Origin::default(),
+            clock: clock.clone(),
+            wake: wake.clone(),
+            step: OpeningStep::Asking(Background::run(wake, move || servers.start(&named))),
+            outline: None,
+            server: None,
+        }
     }
 
     /// Opens a volume beside one that takes `held` bytes.
@@ -121,6 +145,7 @@ impl Opening {
     /// The stage in words, and the share of the voxels that are read while they are.
     pub(crate) fn progress(&self) -> (String, Option<f32>) {
         let text = match &self.step {
+            OpeningStep::Asking(_) => "starting a server there by ssh…",
             OpeningStep::Surveying(..) => "reading the header…",
             OpeningStep::Reading(_, loading) => return ("reading".into(), Some(loading.progress())),
             OpeningStep::Starting(_) => "preparing the picture…",
@@ -144,6 +169,18 @@ impl Opening {
     pub(crate) fn poll(&mut self) -> Option<Result<Opened, String>> {
         loop {
             let next = match std::mem::replace(&mut self.step, OpeningStep::Over) {
+                OpeningStep::Asking(mut running) => match running.take() {
+                    None => return self.stay(OpeningStep::Asking(running)),
+                    Some(Err(problem)) => return Some(Err(sentence(&problem))),
+                    Some(Ok(RemoteServer { link, tunnel })) => {
+                        self.origin.server_name = link.place();
+                        self.origin.link = Some(link.clone());
+                        match client(&link, Some(tunnel), &self.clock, &self.wake) {
+                            Ok(client) => OpeningStep::Connecting(client),
+                            Err(problem) => return Some(Err(problem)),
+                        }
+                    }
+                },
                 OpeningStep::Surveying(local, mut running) => match running.take() {
                     None => return self.stay(OpeningStep::Surveying(local, running)),
                     Some(Err(problem)) => return Some(Err(problem)),
@@ -160,7 +197,7 @@ impl Opening {
                     Some(Ok(LocalServer { link, server })) => {
                         self.server = Some(server);
                         self.origin.link = Some(link.clone());
-                        match client(&link, &self.clock, &self.wake) {
+                        match client(&link, None, &self.clock, &self.wake) {
                             Ok(client) => OpeningStep::Connecting(client),
                             Err(problem) => return Some(Err(problem)),
                         }
@@ -231,8 +268,9 @@ impl Drop for Opening {
     }
 }
 
-fn client(link: &Link, clock: &Clock, wake: &Waker) -> Result<Box<Client>, String> {
-    let options = ClientOptions { clock: clock.clone(), wake: wake.clone(), ..ClientOptions::default() };
+fn client(link: &Link, tunnel: Option<Tunnel>, clock: &Clock, wake: &Waker) -> Result<Box<Client>, String> {
+    let (clock, wake) = (clock.clone(), wake.clone());
+    let options = ClientOptions { clock, wake, tunnel, ..ClientOptions::default() };
     Client::connect(link, options).map(Box::new).map_err(|e| sentence(&e))
 }
 

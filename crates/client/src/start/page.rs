@@ -21,6 +21,8 @@ use crate::view::Waker;
 
 pub(crate) enum PageWish {
     Connect(Box<Link>),
+    /// Start a server for a volume on another machine.
+    ConnectRemote(Act, String),
     Open(LoadRequest),
     OpenState(PathBuf),
     /// Open a file that the person has yet to choose.
@@ -170,7 +172,7 @@ impl StartPage {
             ui.horizontal(|ui| {
                 let width = (ui.available_width() - 84.0).max(60.0);
                 let field = egui::TextEdit::singleline(&mut self.link_text).desired_width(width);
-                let field = ui.add(field.hint_text("isinglass://host:port/#…"));
+                let field = ui.add(field.hint_text("isinglass://host:port/#… or host:/path"));
                 named(&field, egui::Role::TextInput, "link");
                 if std::mem::take(&mut self.wants_link_focus) {
                     field.request_focus();
@@ -181,7 +183,11 @@ impl StartPage {
                 let enters = field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter));
                 let is_clicked = ui.add_enabled(has_link, egui::Button::new("Connect")).clicked();
                 if (enters && has_link) || is_clicked {
-                    match link_in(&self.link_text) {
+                    let text = self.link_text.trim();
+                    match link_in(text) {
+                        _ if names_remote(scene.services, text) => {
+                            *wish = Some(PageWish::ConnectRemote(Act::Connect, text.to_owned()));
+                        }
                         Ok(link) => *wish = Some(PageWish::Connect(Box::new(link))),
                         Err(problem) => {
                             self.link_problem = Some(problem);
@@ -195,7 +201,10 @@ impl StartPage {
                 (Some(problem), _) => style::problem(ui, problem),
                 (None, Some(hint)) => small(ui, hint),
                 (None, None) => {
-                    small(ui, "Paste the link that 'isinglass serve' printed; it is valid for one viewer.");
+                    small(
+                        ui,
+                        "A link that 'isinglass serve' printed, or host:/path for a file that ssh reaches.",
+                    );
                 }
             }
         });
@@ -239,6 +248,10 @@ impl StartPage {
                 let max_bytes = scene.services.servers.max_bytes();
                 *wish = Some(PageWish::OpenRecent(volume.clone().request(max_bytes)));
             }
+            RecentPlace::Remote { place } if names_remote(scene.services, place) => {
+                *wish = Some(PageWish::ConnectRemote(Act::Recent, place.clone()));
+            }
+            RecentPlace::Remote { .. } => {}
             RecentPlace::Server { host, port } => {
                 // A link works once and is not stored: there is nothing to connect with.
                 self.hint = Some(format!(
@@ -351,6 +364,11 @@ pub(crate) fn opening_rows(ui: &mut Ui, opening: &Opening, takes_escape: bool) -
     let is_cancelled =
         button.clicked() || (takes_escape && ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Escape)));
     is_cancelled.then_some(PageWish::Cancel)
+}
+
+/// Whether a text names a volume on another machine.
+fn names_remote(services: &Services, text: &str) -> bool {
+    services.remote.as_ref().is_some_and(|remote| remote.is_place(text))
 }
 
 /// The link in a pasted text, which may be a whole command line.

@@ -191,6 +191,7 @@ fn has_name(entries: &[RecentEntry], name: &str) -> bool {
 pub(super) fn name_of(place: &RecentPlace) -> String {
     let text = match place {
         RecentPlace::Server { host, port } => format!("server {}", place_of(host, *port)),
+        RecentPlace::Remote { place } => format!("remote {place}"),
         RecentPlace::Volume(volume) => format!("volume {}", volume.source),
     };
     // FNV-1a, the same in every version of the program.

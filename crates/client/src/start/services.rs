@@ -8,12 +8,15 @@ use isinglass_net::Link;
 
 use crate::view::BoxedSource;
 use crate::view::local_servers::LocalServers;
+use crate::view::remote_servers::RemoteServers;
 
 /// What the start window needs.
 #[derive(Clone)]
 pub struct Services {
     /// Starts servers.
     pub servers: Arc<dyn LocalServers>,
+    /// Starts servers on other machines, if it can.
+    pub remote: Option<Arc<dyn RemoteServers>>,
     /// The file of the recent list; none: the list is not stored.
     pub recent_file: Option<PathBuf>,
     /// Whether files are chosen by the system's dialog, where it has one.
@@ -32,6 +35,8 @@ pub enum First {
         source: BoxedSource,
         /// Its link.
         link: Link,
+        /// The volume on another machine for which it was started, as the person named it.
+        remote: Option<String>,
     },
     /// A volume of this machine.
     Volume(LoadRequest),

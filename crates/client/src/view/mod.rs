@@ -12,6 +12,7 @@ pub(crate) mod pick;
 pub(crate) mod planes;
 pub(crate) mod quality_control;
 pub(crate) mod refresh_meter;
+pub(crate) mod remote_servers;
 pub(crate) mod viewing;
 
 /// The frames of a window that can switch between sources.

@@ -31,6 +31,8 @@ pub enum Standing {
     Refining,
     /// The camera rests without a connection, so nothing better can arrive.
     Offline,
+    /// The camera rests, and the frames are those of a viewer that this one follows.
+    Following,
     /// The camera's own frame is complete, but in blocks or of another size than the picture, or the picture is for two
     /// eyes.
     Settled,
@@ -424,6 +426,8 @@ impl<S: FrameSource> Viewing<S> {
             if full == picture && frame.is_exact { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
+        } else if is_connected && self.source.talk().viewers.following().is_some() {
+            Standing::Following
         } else if is_connected {
             Standing::Refining
         } else {

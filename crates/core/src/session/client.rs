@@ -8,6 +8,7 @@ use super::profile::ProfileClient;
 use super::screenshot::ScreenshotClient;
 use super::selection::SelectionClient;
 use super::slices::SlicesClient;
+use super::viewers::ViewersClient;
 use crate::ids::LookVersion;
 use crate::wire::{ClientMessage, Refusal, ServerMessage, Welcome};
 
@@ -32,6 +33,8 @@ pub struct ClientSession {
     pub screenshot: ScreenshotClient,
     /// Slices through the volume.
     pub slices: SlicesClient,
+    /// Who is there.
+    pub viewers: ViewersClient,
     /// The connection.
     pub link: LinkClient,
     is_up: bool,
@@ -58,6 +61,7 @@ impl ClientSession {
         self.profile.handle_welcome();
         self.screenshot.handle_welcome();
         self.slices.handle_welcome(&volume, version);
+        self.viewers.handle_welcome();
         self.pose.handle_welcome();
         self.is_up = true;
     }
@@ -84,6 +88,7 @@ impl ClientSession {
         self.profile.handle_message(&message);
         self.screenshot.handle_message(&message);
         self.slices.handle_message(&message);
+        self.viewers.handle_message(&message);
         Ok(())
     }
 
@@ -107,6 +112,7 @@ impl ClientSession {
         shot.or_else(|| self.slices.poll_message(now_micros))
             .or_else(|| self.probe.poll_message(now_micros))
             .or_else(|| self.profile.poll_message(now_micros))
+            .or_else(|| self.viewers.poll_message())
             .or_else(|| self.link.poll_message(now_micros))
     }
 

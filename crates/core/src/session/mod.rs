@@ -12,6 +12,7 @@
 //! - [`repair`]: restores lost parts of frames.
 //! - [`inquiry`]: a question about the volume. [`probe`], [`profile`]: the value at a point, the values along a line.
 //! - [`screenshot`]: a picture to keep; [`slices`]: slices through the volume.
+//! - [`viewers`]: who is there, and whose frames a viewer gets.
 //! - [`ledger`]: the life of every frame, on either side.
 //! - [`pace`]: the newest of many values, at a bounded rate.
 //! - `pair`: both sides joined by a simulated link, for tests.
@@ -38,6 +39,7 @@ pub mod screenshot;
 pub mod selection;
 pub mod server;
 pub mod slices;
+pub mod viewers;
 
 pub use client::ClientSession;
 pub use server::ServerSession;

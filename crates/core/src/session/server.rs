@@ -10,6 +10,7 @@ use super::profile::ProfileServer;
 use super::screenshot::ScreenshotServer;
 use super::selection::SelectionServer;
 use super::slices::SlicesServer;
+use super::viewers::ViewersServer;
 use crate::ids::LookVersion;
 use crate::look::Look;
 use crate::wire::control::{self, ControlError, one_line};
@@ -37,6 +38,8 @@ pub struct ServerSession {
     pub screenshot: ScreenshotServer,
     /// Slices through the volume.
     pub slices: SlicesServer,
+    /// Who is there.
+    pub viewers: ViewersServer,
     /// The connection.
     pub link: LinkServer,
 }
@@ -64,6 +67,7 @@ impl ServerSession {
             profile: ProfileServer::default(),
             screenshot: ScreenshotServer::default(),
             slices: SlicesServer::new(version),
+            viewers: ViewersServer::default(),
             link: LinkServer::new(now_micros),
         }
     }
@@ -100,6 +104,7 @@ impl ServerSession {
         self.profile.handle_message(&message);
         self.screenshot.handle_message(&message);
         self.slices.handle_message(&message);
+        self.viewers.handle_message(&message);
         Ok(Heard::Taken)
     }
 
@@ -112,6 +117,7 @@ impl ServerSession {
             .or_else(|| self.screenshot.poll_message())
             .or_else(|| self.probe.poll_message())
             .or_else(|| self.profile.poll_message())
+            .or_else(|| self.viewers.poll_message())
     }
 
     /// When to poll messages again if nothing happens, µs.

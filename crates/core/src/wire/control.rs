@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, Profile,
-    ProfileRequest, ScreenshotRequest, Token, WantedSlices,
+    ProfileRequest, ScreenshotRequest, Token, WantedSlices, version::older_side,
 };
 use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
@@ -54,6 +54,8 @@ pub enum ClientMessage {
     WantSlices(WantedSlices),
     /// Asks for the values along a line.
     Profile(ProfileRequest),
+    /// Asks for the frames of the viewer with this number, or with `None` for own ones.
+    Follow(Option<u32>),
 }
 
 /// A message of the server. [`ServerMessage::Welcome`] or [`ServerMessage::Refused`] comes first and once.
@@ -94,6 +96,21 @@ pub enum ServerMessage {
     },
     /// The values along a line.
     Profile(Profile),
+    /// Who is there.
+    Viewers(Vec<ViewerEntry>),
+}
+
+/// A viewer of the server.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ViewerEntry {
+    /// Its number at this server.
+    pub number: u32,
+    /// Its name for itself.
+    pub name: String,
+    /// Whether it is the one that gets this message.
+    pub is_own: bool,
+    /// The viewer whose frames it gets; `None` if it gets its own.
+    pub follows: Option<u32>,
 }
 
 /// Another volume replaces the one that was shown.
@@ -191,7 +208,7 @@ pub enum Refusal {
     TokenUsed,
     /// The versions differ.
     #[error(
-        "the server speaks protocol version {server}, this viewer {client}; install the same version on both"
+        "the server speaks protocol version {server}, this viewer {client}: update {}", older_side(*server, *client)
     )]
     Version {
         /// The server's version.
@@ -259,7 +276,9 @@ impl Message for ClientMessage {
             Self::SetLook(look) => Ok(look.validate()?),
             Self::Stats(s) if !s.frames_per_second.is_finite() => Err(ControlError::Value("frame rate")),
             Self::Select(part) => part.validate(),
-            Self::Stats(_) | Self::Bye | Self::CancelSelection | Self::CancelScreenshot => Ok(()),
+            Self::Stats(_) | Self::Bye | Self::CancelSelection | Self::CancelScreenshot | Self::Follow(_) => {
+                Ok(())
+            }
             Self::Probe(probe) => probe.validate(),
             Self::WantSlices(list) => list.validate(),
             Self::Profile(line) => line.validate(),
@@ -294,6 +313,10 @@ impl Message for ServerMessage {
             Self::ScreenshotFailed { why, .. } => check_text("reason", why, MAX_NOTICE_BYTES),
             Self::Probed(probed) => probed.validate(),
             Self::Profile(profile) => profile.validate(),
+            Self::Viewers(list) if list.len() > MAX_VIEWERS => Err(ControlError::Value("number of viewers")),
+            Self::Viewers(list) => {
+                list.iter().try_for_each(|viewer| check_text("name", &viewer.name, MAX_NAME_BYTES))
+            }
             Self::Refused(_) | Self::Stats(_) => Ok(()),
         }
     }
@@ -434,6 +457,8 @@ pub(super) fn check_text(what: &'static str, s: &str, max_bytes: usize) -> Resul
 pub const MAX_BINS: usize = 4096;
 /// Longest message that is sent as it is, bytes.
 const PACKED_ABOVE_BYTES: usize = 1024;
+/// Most viewers in a list.
+pub const MAX_VIEWERS: usize = 128;
 /// Longest notice, bytes.
 pub(super) const MAX_NOTICE_BYTES: usize = 2000;
 

@@ -21,10 +21,11 @@ pub mod slice;
 mod token;
 #[cfg(test)]
 mod vectors;
+mod version;
 
 pub use control::{
-    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange,
-    VolumeDescription, Welcome,
+    ClientMessage, ClientStats, ControlError, MAX_VIEWERS, Refusal, ServerMessage, ServerStats, ViewerEntry,
+    VolumeChange, VolumeDescription, Welcome,
 };
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
@@ -33,10 +34,7 @@ pub use screenshot::ScreenshotRequest;
 pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use slice::{SliceRequest, WantedSlices};
 pub use token::{Token, TokenError};
+pub use version::{ALPN, ALPN_ANY, PROTOCOL_VERSION, version_in_notice, version_notice};
 
-/// Version of the protocol on a connection.
-pub const PROTOCOL_VERSION: u32 = 14;
-/// Protocol name in the TLS handshake: peers of another version get no further.
-pub const ALPN: &[u8] = b"isinglass/14";
 /// Length of the longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

@@ -154,6 +154,8 @@ fn client_messages() -> Vec<ClientMessage> {
             ends: [[1.0, -2.0, 0.5], [0.0, 0.25, 4.0]],
             num_points: 300,
         }),
+        ClientMessage::Follow(Some(3)),
+        ClientMessage::Follow(None),
     ]);
     messages
 }
@@ -217,6 +219,10 @@ fn server_messages() -> Vec<ServerMessage> {
         }),
         ServerMessage::ScreenshotFailed { id: ScreenshotId(6), why: "w".into() },
         ServerMessage::Profile(Profile { id: ProbeId(9), values: vec![Some(1.5), None, Some(-2.0)] }),
+        ServerMessage::Viewers(vec![
+            ViewerEntry { number: 0, name: "a".into(), is_own: true, follows: Some(300) },
+            ViewerEntry { number: 300, name: String::new(), is_own: false, follows: None },
+        ]),
     ]
 }
 
@@ -234,6 +240,7 @@ fn is_of(message: &ClientMessage) -> usize {
         ClientMessage::CancelScreenshot => 8,
         ClientMessage::WantSlices(_) => 9,
         ClientMessage::Profile(_) => 10,
+        ClientMessage::Follow(_) => 11,
     }
 }
 
@@ -251,6 +258,7 @@ fn is_of_server(message: &ServerMessage) -> usize {
         ServerMessage::Probed(_) => 8,
         ServerMessage::ScreenshotFailed { .. } => 9,
         ServerMessage::Profile(_) => 10,
+        ServerMessage::Viewers(_) => 11,
     }
 }
 
@@ -265,7 +273,7 @@ fn every_message_has_its_bytes() {
         |all: Vec<usize>| all.into_iter().collect::<std::collections::BTreeSet<_>>().into_iter().collect();
     let found: [Vec<usize>; 2] =
         [kinds(client.iter().map(is_of).collect()), kinds(server.iter().map(is_of_server).collect())];
-    assert_eq!(found, [(0..11).collect::<Vec<_>>(), (0..11).collect()], "one of each");
+    assert_eq!(found, [(0..12).collect::<Vec<_>>(), (0..12).collect()], "one of each");
     let mut lines: Vec<String> = client.iter().map(|m| hex(&encode(m).unwrap()[4..])).collect();
     lines.extend(server.iter().map(|m| hex(&encode(m).unwrap()[4..])));
     let stored: Vec<&str> = include_str!("vectors.hex").lines().collect();

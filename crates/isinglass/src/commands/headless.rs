@@ -8,7 +8,7 @@ use clap::Args;
 use isinglass_bench::visit::{self, VisitOptions};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::orbit::Orbit;
-use isinglass_net::{Client, ClientOptions, Link};
+use isinglass_net::{Client, ClientOptions, Link, Tunnel};
 
 use super::demo::parse_speed;
 use super::view::connect;
@@ -67,8 +67,8 @@ impl HeadlessArgs {
         Ok(())
     }
 
-    /// Lets all viewers play, and reports.
-    pub(super) fn run(self, links: &[Link], view: View) -> Result<()> {
+    /// Lets all viewers play, and reports. The first may have a tunnel.
+    pub(super) fn run(self, links: &[Link], tunnel: Option<Tunnel>, view: View) -> Result<()> {
         let out = self.out.unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
         if out.exists() && !out.is_dir() {
             bail!("{}: found a file, expected a folder for the figures", out.display());
@@ -88,8 +88,12 @@ impl HeadlessArgs {
             backend: view.backend,
             every: self.every,
         };
-        let clients: Vec<Client> =
-            links.iter().map(|link| connect(link, ClientOptions::default())).collect::<Result<_>>()?;
+        let tunnels = std::iter::once(tunnel).chain(std::iter::repeat_with(|| None));
+        let clients: Vec<Client> = links
+            .iter()
+            .zip(tunnels)
+            .map(|(link, tunnel)| connect(link, ClientOptions { tunnel, ..ClientOptions::default() }))
+            .collect::<Result<_>>()?;
         let report = visit::run(clients, &options, &out)?;
         if self.json { print_json(&report) } else { print(&report.text(&out)) }
     }

@@ -8,6 +8,7 @@ mod headless;
 mod info;
 mod layers;
 mod pipeline;
+mod relay;
 mod render;
 mod reproject;
 mod serve;
@@ -25,7 +26,7 @@ pub(crate) enum Command {
     Demo(demo::DemoArgs),
     /// Serve a volume, and print the link for a viewer
     Serve(serve::ServeArgs),
-    /// Open the viewer: a page to choose from, a server's link, or a volume
+    /// Open the viewer: a page to choose from, a server's link, or a volume of this or another machine
     View(view::ViewerArgs),
     /// Render a volume: the reference picture
     Render(render::RenderArgs),
@@ -39,6 +40,9 @@ pub(crate) enum Command {
     Info(info::InfoArgs),
     /// Measure speed, latency or the stages of a frame
     Bench(bench::BenchArgs),
+    /// Join standard input and output with a server of this machine
+    #[command(hide = true)]
+    Relay(relay::RelayArgs),
     /// Report what this machine lacks, and what to install
     Doctor(doctor::DoctorArgs),
 }
@@ -60,6 +64,7 @@ impl Command {
             Self::Compare(args) => compare::run(&args),
             Self::Info(args) => info::run(&args),
             Self::Bench(args) => bench::run(args),
+            Self::Relay(args) => relay::run(&args),
             Self::Doctor(args) => doctor::run(&args),
         }
     }

@@ -1,17 +1,22 @@
 //! `serve`: serves a volume to viewers.
 
 use std::net::{Ipv6Addr, SocketAddr, ToSocketAddrs};
+use std::path::PathBuf;
 use std::pin::pin;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_net::Link;
+use isinglass_net::{Identity, Link};
 use isinglass_server::{Attendance, ServeOptions, Timing};
 use serde_json::json;
+use tokio::time::Instant;
 
 use crate::args::{BackendArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
+use crate::detach;
 use crate::given::Given;
+use crate::identity_file;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
 use crate::metrics::{self, parse_loopback};
@@ -22,7 +27,7 @@ use crate::state_args::StateArgs;
 pub(crate) struct ServeArgs {
     #[command(flatten)]
     state: StateArgs,
-    /// Address and UDP port to listen on; port 0 takes a free one
+    /// Address and port to listen on, over UDP and TCP; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address, default_value = "127.0.0.1:4433")]
     listen: SocketAddr,
     /// Name or address of this machine for viewers, for the link [default: the one listened on]
@@ -44,9 +49,21 @@ pub(crate) struct ServeArgs {
     /// Show only this part: viewers cannot choose another channel, time, level or series
     #[arg(long)]
     fixed: bool,
+    /// Keep this server's certificate and key in a file, so that its fingerprint stays [default: new ones at each start]
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
     /// Answer GET /metrics with numbers for Prometheus at this address, on loopback only
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_loopback)]
     metrics: Option<SocketAddr>,
+    /// End when no viewer has been connected for so long, such as 60s or 10min [default: never]
+    #[arg(long, value_name = "TIME", value_parser = parse_patience)]
+    end_after_last: Option<Duration>,
+    /// Go on in the background when the links are printed, even when the terminal or the ssh connection closes
+    #[arg(long)]
+    detach: bool,
+    /// This process is the one in the background
+    #[arg(long, hide = true, conflicts_with = "detach")]
+    detached: bool,
     /// Print the links as JSON, one object per line
     #[arg(long)]
     json: bool,
@@ -62,6 +79,12 @@ pub(crate) struct ServeArgs {
 }
 
 pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
+    if args.detach {
+        return detach::run_again();
+    }
+    if args.detached {
+        detach::leave_terminal()?;
+    }
     let seen = args.state.read(given)?;
     let source = seen.volume(&args.volume)?.source()?.to_owned();
     let (opened, look) =
@@ -82,11 +105,14 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         library: (!args.fixed).then_some(opened.library),
         timing: Timing::default(),
     };
+    let identity =
+        args.identity.as_deref().map_or_else(|| Ok(Identity::generate()?), identity_file::read_or_make)?;
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
     let served = runtime.block_on(async {
-        let server = isinglass_server::start(options)?;
+        let server = isinglass_server::start_as(&identity, options)?;
         let address = server.address();
-        note(&format!("serving {source} at {address} on {description}; each link lets in one viewer; Ctrl-C ends it"));
+        let end = if args.detached { format!("`kill {}`", std::process::id()) } else { "Ctrl-C".into() };
+        note(&format!("serving {source} at {address} on {description}; each link lets in one viewer; {end} ends it"));
         if args.host.is_none() && address.ip().is_unspecified() {
             note("the links are for viewers on this computer; others need --host, the name or address they reach it by");
         }
@@ -101,9 +127,11 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         let mut num_links = 0;
         let mut attendance = server.attendance();
         let mut end = pin!(told_to_end());
+        let mut alone_since = Some(Instant::now());
         loop {
             // One link per free place. A viewer that lost the network reconnects without one.
             let Attendance { connected, used_links } = *attendance.borrow_and_update();
+            alone_since = (connected == 0).then(|| alone_since.unwrap_or_else(Instant::now));
             let unused = num_links - used_links.min(num_links);
             let mut links = Vec::new();
             let mut minted = Ok(());
@@ -127,10 +155,18 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
                 Err(e) if num_links > 0 => note(&format!("no other viewer can come: {e:#}")),
                 all => all?,
             }
+            if args.detached && num_links == 0 {
+                detach::let_go()?;
+            }
             num_links += links.len();
+            let end_at = alone_since.zip(args.end_after_last).map(|(since, patience)| since + patience);
             tokio::select! {
                 told = &mut end => break told?,
                 Ok(()) = attendance.changed() => {}
+                () = tokio::time::sleep_until(end_at.unwrap_or_else(Instant::now)), if end_at.is_some() => {
+                    note("no viewer is left");
+                    break;
+                }
             }
         }
         note("closing");
@@ -158,6 +194,21 @@ async fn told_to_end() -> Result<()> {
     ctrl_c.await
 }
 
+/// `60s`, `10min`, `2h`, or a number of seconds.
+fn parse_patience(text: &str) -> Result<Duration, String> {
+    let split = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(split);
+    let seconds_per_unit = match unit.trim() {
+        "" | "s" => 1,
+        "min" => 60,
+        "h" => 3600,
+        _ => 0,
+    };
+    let seconds = number.parse::<u64>().ok().and_then(|n| n.checked_mul(seconds_per_unit));
+    let seconds = seconds.filter(|s| (1..=30 * 86_400).contains(s));
+    seconds.map(Duration::from_secs).ok_or_else(|| "expected a time such as 60s, 10min or 2h".into())
+}
+
 fn parse_host(text: &str) -> Result<String, String> {
     let bracketed = if text.contains(':') { format!("[{text}]") } else { text.to_owned() };
     let nobody =
@@ -179,6 +230,16 @@ fn parse_address(text: &str) -> Result<SocketAddr, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_patience_has_a_unit() {
+        for (text, seconds) in [("60s", 60), ("10min", 600), ("2 h", 7200), ("5", 5)] {
+            assert_eq!(parse_patience(text), Ok(Duration::from_secs(seconds)), "{text}");
+        }
+        for bad in ["", "0s", "s", "5m", "-1s", "1.5h", "99999999999999999999h", "9999h"] {
+            assert!(parse_patience(bad).is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn a_host_is_a_name_or_an_address_without_a_port() {

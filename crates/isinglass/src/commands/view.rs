@@ -1,4 +1,4 @@
-//! `view`: the viewer for a server's link, for a volume of this machine, or with a page to choose one.
+//! `view`: the viewer for a server's link, for a volume of this or another machine, or with a page to choose one.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,13 +8,15 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_client::{CameraPath, First, Waker, WindowOptions, display_available, run_window_with_start};
+use isinglass_client::{
+    CameraPath, First, RemoteServer, Waker, WindowOptions, display_available, run_window_with_start,
+};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{
     LoadRequest, Remembered, SavedState, Selection, load_transfer, state_from_link, write_whole,
 };
-use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, state_of_link};
+use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, Tunnel, state_of_link};
 
 use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
 use super::headless::{self, HeadlessArgs, read_links};
@@ -26,13 +28,15 @@ use crate::given::Given;
 use crate::light_args::LightArgs;
 use crate::local::{self, FirstLook};
 use crate::memory::MemoryArgs;
+use crate::remote::{self, RemoteArgs, RemoteVolume};
 use crate::state_args::StateArgs;
 use crate::window_args::WindowArgs;
 
 #[derive(Args)]
 pub(crate) struct ViewerArgs {
     /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the
-    /// list of processes; or a volume of this machine, as for `serve` [default: a page to choose one]
+    /// list of processes; or a volume of this machine, as for `serve`; or one that ssh reaches, such as host:/path or
+    /// ssh://user@host:port/path, for which a server is started there [default: a page to choose one]
     #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
     target: Option<Target>,
     #[command(flatten)]
@@ -73,12 +77,16 @@ pub(crate) struct ViewerArgs {
     raw: RawArgs,
     #[command(flatten)]
     part: PartArgs,
+    #[command(flatten)]
+    remote: RemoteArgs,
 }
 
 /// The first thing to show.
 #[derive(Clone, Debug)]
 enum Target {
     Server(Link),
+    /// A volume on another machine, and the text that named it.
+    Remote(RemoteVolume, String),
     Volume(String),
     /// The state in a link that a window has copied, which names a volume of this machine.
     View(String),
@@ -123,14 +131,24 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                 "--channel, --tf, --dims and the like belong to a volume, found a link; give them to `serve`"
             );
         }
+        Some(Target::Remote(..)) => {}
+        _ if args.remote.copy => bail!("--copy belongs to a volume on another machine, such as host:/path"),
         None if is_of_volume && !of_state => {
             bail!("--channel, --tf, --dims and the like belong to a volume, found none");
         }
         _ => {}
     }
     if args.headless.is_on() {
-        let Some(Target::Server(link)) = target else {
-            bail!("found no server's link, expected one; `demo --headless` plays a volume of this machine");
+        let (link, tunnel) = match target {
+            Some(Target::Server(link)) => (link, None),
+            Some(Target::Remote(volume, _)) => {
+                let order = remote::order(seen.given(), args.look.tf.as_deref())?;
+                let RemoteServer { link, tunnel } = args.remote.start(&volume, order)?;
+                (link, Some(tunnel))
+            }
+            _ => bail!(
+                "found no server's link, expected one; `demo --headless` plays a volume of this machine"
+            ),
         };
         if links.is_empty() {
             links.push(link);
@@ -144,10 +162,12 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             refresh_hz: args.window.refresh,
             backend: args.backend.backend,
         };
-        return args.headless.run(&links, view);
+        return args.headless.run(&links, tunnel, view);
     }
     args.look.mode()?;
-    args.look.tf.as_deref().map(load_transfer).transpose()?;
+    if !matches!(target, Some(Target::Remote(..))) {
+        args.look.tf.as_deref().map(load_transfer).transpose()?;
+    }
     let choices_file = local::choices_file();
     // A file that cannot be read is replaced by the next choice.
     let read = |file: &PathBuf| {
@@ -181,15 +201,23 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     };
     let limit = args.memory.bytes();
     let foreign_files = args.part.has_foreign_files();
+    let (target, remote, tunnel) = match target {
+        Some(Target::Remote(volume, text)) => {
+            let order = remote::order(seen.given(), args.look.tf.as_deref())?;
+            let RemoteServer { link, tunnel } = args.remote.start(&volume, order)?;
+            (Some(Target::Server(link)), Some(text), Some(tunnel))
+        }
+        target => (target, None, None),
+    };
     let request = match target {
         Some(Target::Server(link)) => {
-            let (client, waker) = connect_waking(&link)?;
+            let (client, waker) = connect_waking(&link, tunnel)?;
             let clock = client.clock().clone();
-            let services = local::services(args.backend.backend, limit, foreign_files, None);
+            let services = local::services(args.backend.backend, limit, foreign_files, None, args.remote);
             run_window_with_start(window, clock, services, move |wake| {
                 // There is only one window, so no waker was set before.
                 let _ = waker.set(wake);
-                Ok(First::Connected { source: Box::new(client), link })
+                Ok(First::Connected { source: Box::new(client), link, remote })
             })?;
             return write_path(args.record.as_deref(), recorder.as_deref());
         }
@@ -200,7 +228,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
             Some(seen.volume(&volume)?.volume_source()?.request(limit))
         }
-        Some(Target::Input | Target::View(_)) | None => None,
+        Some(Target::Input | Target::View(_) | Target::Remote(..)) | None => None,
     };
     match request {
         Some(request) => {
@@ -214,7 +242,8 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             // The volume's server already has the look with its flags.
             let state = window.state.map(|state| SavedState { look: None, ..state });
             let window = WindowOptions { state, ..window };
-            let services = local::services(args.backend.backend, limit, foreign_files, Some(first));
+            let services =
+                local::services(args.backend.backend, limit, foreign_files, Some(first), args.remote);
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::Volume(request)))?;
         }
         None => {
@@ -223,7 +252,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
                     "the state was made with the server {server}: connect to that, and it is shown"
                 ));
             }
-            let services = local::services(args.backend.backend, limit, foreign_files, None);
+            let services = local::services(args.backend.backend, limit, foreign_files, None, args.remote);
             run_window_with_start(window, Clock::start(), services, |_| Ok(First::StartPage))?;
         }
     }
@@ -239,7 +268,7 @@ fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Resu
 }
 
 /// An admitted client, and the slot for its window's waker.
-fn connect_waking(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
+fn connect_waking(link: &Link, tunnel: Option<Tunnel>) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     let waker = Arc::new(OnceLock::<Waker>::new());
     let wakes = waker.clone();
     let wake = Arc::new(move || {
@@ -247,7 +276,7 @@ fn connect_waking(link: &Link) -> Result<(Client, Arc<OnceLock<Waker>>)> {
             wake();
         }
     });
-    Ok((connect(link, ClientOptions { wake, ..ClientOptions::default() })?, waker))
+    Ok((connect(link, ClientOptions { wake, tunnel, ..ClientOptions::default() })?, waker))
 }
 
 /// An admitted client.
@@ -265,18 +294,20 @@ fn parse_target(text: &str) -> Result<Target, String> {
     if text == "-" {
         return Ok(Target::Input);
     }
+    let is_here = text.starts_with("builtin:") || Path::new(text).exists();
+    if !is_here && let Some(volume) = RemoteVolume::parse(text) {
+        return volume.map(|volume| Target::Remote(volume, text.to_owned()));
+    }
     if text.contains("://") {
         return match text.parse() {
             Ok(link) => Ok(Target::Server(link)),
             Err(e) => view_of_file(text).map(Target::View).ok_or_else(|| LinkError::to_string(&e)),
         };
     }
-    if text.starts_with("builtin:") || Path::new(text).exists() {
+    if is_here {
         return Ok(Target::Volume(text.to_owned()));
     }
-    Err(format!(
-        "there is no file '{text}'; expected a volume, or a link as `serve` prints it: isinglass://…"
-    ))
+    Err(format!("there is no file '{text}'; expected a volume, a link as `serve` prints it, or host:/path"))
 }
 
 /// The state in a link to a view of a volume of this machine.

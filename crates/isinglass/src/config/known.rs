@@ -42,12 +42,17 @@ const fn viewer(section: &'static str, key: &'static str, arg: &'static str) -> 
     Known { section, key, arg, commands: &["view", "demo"] }
 }
 
+const fn view(section: &'static str, key: &'static str, arg: &'static str) -> Known {
+    Known { section, key, arg, commands: &["view"] }
+}
+
 /// All settings in the order of printing. Bindings follow, whose names belong to the viewer.
 pub(super) const SETTINGS: &[Known] = &[
     serve("network", "listen", "listen"),
     serve("network", "host", "host"),
     serve("network", "viewers", "viewers"),
     serve("network", "rate", "rate"),
+    serve("network", "identity", "identity"),
     server("coding", "codec", "codec"),
     server("coding", "quality", "quality"),
     server("render", "backend", "backend"),
@@ -78,6 +83,8 @@ pub(super) const SETTINGS: &[Known] = &[
     viewer("foresight", "predict", "predict"),
     viewer("foresight", "guard_band", "guard_band"),
     viewer("foresight", "kept_frames", "kept_frames"),
+    view("remote", "ssh", "ssh"),
+    view("remote", "program", "remote_program"),
 ];
 
 /// The valid keys of a section, or the valid sections.

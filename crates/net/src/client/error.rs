@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use isinglass_core::wire::Refusal;
+use isinglass_core::wire::{PROTOCOL_VERSION, Refusal};
 
 use crate::identity::Fingerprint;
 use crate::link::place_of;
@@ -20,12 +20,12 @@ pub enum ConnectError {
     },
     /// Nothing came back.
     #[error(
-        "no answer from {host} on UDP port {port}: is the server running, and does a firewall block UDP?"
+        "no answer from {host} on port {port}: is the server running, and does a firewall block UDP and TCP there?"
     )]
     NoAnswer {
         /// Name or address.
         host: String,
-        /// UDP port.
+        /// UDP and TCP port.
         port: u16,
     },
     /// The certificate is not that of the link.
@@ -37,15 +37,17 @@ pub enum ConnectError {
     Certificate {
         /// Name or address.
         host: String,
-        /// UDP port.
+        /// UDP and TCP port.
         port: u16,
         /// Fingerprint in the link.
         expected: Fingerprint,
         /// Fingerprint of the server.
         found: Fingerprint,
     },
-    /// The server speaks no version that this client knows.
-    #[error("the server does not speak this viewer's protocol; install the same version on both")]
+    /// The server speaks another version and does not say which, so it is from before servers did.
+    #[error(
+        "the server speaks an older protocol version than this viewer ({PROTOCOL_VERSION}): update the server's isinglass"
+    )]
     Version,
     /// The server refuses.
     #[error("{0}")]
@@ -63,7 +65,7 @@ pub enum ConnectError {
     #[error("connection lost: {0}")]
     Lost(String),
     /// This machine cannot send.
-    #[error("cannot open a UDP socket: {0}")]
+    #[error("cannot open a socket: {0}")]
     Socket(String),
     /// There was no result in the given time.
     #[error("not connected within {0:?}")]

@@ -7,6 +7,7 @@
 mod chunks;
 mod connection;
 mod decode;
+mod dial;
 mod error;
 #[cfg(test)]
 pub(crate) mod model;
@@ -29,6 +30,7 @@ use isinglass_core::session::ledger::Life;
 use isinglass_core::wire::{ServerStats, Welcome};
 use tokio::sync::{Semaphore, watch};
 
+use crate::carrier::Carrier;
 use crate::clock::Clock;
 use crate::conditioner::{LinkCounters, LinkModel, LinkModelError, SharedCounters};
 use crate::link::Link;
@@ -41,10 +43,12 @@ use status::{Status, StatusBoard};
 /// Options of a client.
 #[derive(Clone)]
 pub struct ClientOptions {
-    /// Name of this client, for the server's log.
+    /// Name of this client, for the server's log and its other viewers: that of the user.
     pub name: String,
     /// Simulates a link with these properties.
     pub conditioner: Option<LinkModel>,
+    /// A way to the server where neither UDP nor TCP comes through.
+    pub tunnel: Option<Tunnel>,
     /// Clock of all stamps.
     pub clock: Clock,
     /// Hook after decoding.
@@ -53,12 +57,18 @@ pub struct ClientOptions {
     pub wake: Arc<dyn Fn() + Send + Sync>,
 }
 
+/// Makes a command whose standard input and output are a TCP connection to the server's port on its own machine.
+pub type Tunnel = Arc<dyn Fn() -> std::process::Command + Send + Sync>;
+
 impl Default for ClientOptions {
     fn default() -> Self {
-        let name = concat!("isinglass ", env!("CARGO_PKG_VERSION")).into();
+        let mut users = ["USER", "USERNAME"].into_iter().filter_map(|key| std::env::var(key).ok());
+        let name = users.find(|name| !name.is_empty());
+        let name = name.unwrap_or_else(|| concat!("isinglass ", env!("CARGO_PKG_VERSION")).into());
         Self {
             name,
             conditioner: None,
+            tunnel: None,
             clock: Clock::start(),
             after_work: AfterWork::default(),
             wake: Arc::new(|| {}),
@@ -71,6 +81,7 @@ impl std::fmt::Debug for ClientOptions {
         f.debug_struct("ClientOptions")
             .field("name", &self.name)
             .field("conditioner", &self.conditioner)
+            .field("has_tunnel", &self.tunnel.is_some())
             .finish_non_exhaustive()
     }
 }
@@ -135,6 +146,8 @@ impl ReceivedFrame {
 /// Statistics for the overlay, on the client's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkStats {
+    /// What carries the packets.
+    pub carrier: Carrier,
     /// Round-trip time, smoothed, µs.
     pub rtt_micros: u64,
     /// Rate of received bytes over about the last second, bytes per second.
@@ -178,7 +191,7 @@ impl Client {
         if let Some(model) = &options.conditioner {
             model.validate()?;
         }
-        let dialer = connection::Dialer::new(link.clone(), &options)?;
+        let dialer = dial::Dialer::new(link.clone(), &options)?;
         let shared = Arc::new(Shared::new(options));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (done_in, done) = mpsc::sync_channel(1);

@@ -7,8 +7,8 @@ use isinglass_core::codec;
 use isinglass_core::session::ledger::Life;
 use quinn::{AsyncUdpSocket, EndpointConfig};
 
-use super::connection::{self, Dialer};
-use super::{ClientOptions, Shared};
+use super::dial::Dialer;
+use super::{ClientOptions, Shared, connection};
 use crate::clock::Clock;
 use crate::link::Link;
 

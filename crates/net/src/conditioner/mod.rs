@@ -9,7 +9,5 @@ mod socket;
 
 pub use model::{Direction, Fate, LinkModel, LinkModelError};
 pub use named::NamedLink;
-#[cfg(test)]
-pub(crate) use socket::AlwaysWritable;
-pub(crate) use socket::{ConditionedSocket, SharedCounters};
+pub(crate) use socket::{AlwaysWritable, ConditionedSocket, SharedCounters};
 pub use socket::{DirectionCounters, LinkCounters};

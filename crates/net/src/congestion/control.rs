@@ -48,9 +48,29 @@ pub(super) struct DelayControl {
     competing: Option<Competing>,
     /// The end of a drain, µs.
     drained_at: Option<f64>,
-    /// Bytes that arrived and that were lost of late.
-    recent: (f64, f64),
+    /// Losses over a short and a long time.
+    losses: [Losses; 2],
     last: Option<(f64, f64)>,
+}
+
+/// Bytes that arrived and that were lost of late.
+#[derive(Clone, Copy, Debug, Default)]
+struct Losses {
+    arrived: f64,
+    lost: f64,
+}
+
+impl Losses {
+    fn add_arrived(&mut self, bytes: f64, most: f64) {
+        self.arrived += bytes;
+        if self.arrived > most {
+            (self.arrived, self.lost) = (self.arrived / 2.0, self.lost / 2.0);
+        }
+    }
+
+    fn share(&self, mtu: f64) -> f64 {
+        self.lost / (self.arrived + self.lost).max(50.0 * mtu)
+    }
 }
 
 /// One round trip.
@@ -93,7 +113,7 @@ impl DelayControl {
             queued_since: None,
             competing: None,
             drained_at: None,
-            recent: (0.0, 0.0),
+            losses: [Losses::default(); 2],
             last: None,
         }
     }
@@ -126,9 +146,10 @@ impl DelayControl {
         self.rate.is_some()
     }
 
-    /// The share of packets that were lost of late.
+    /// The share of packets that were lost of late: the larger of two, because a short time shows a change and a long
+    /// one is not led astray by chance.
     pub(super) fn loss(&self) -> f64 {
-        self.recent.1 / (self.recent.0 + self.recent.1).max(50.0 * self.mtu)
+        self.losses.iter().map(|losses| losses.share(self.mtu)).fold(0.0, f64::max)
     }
 
     /// The least round trip of the path, µs.
@@ -146,9 +167,8 @@ impl DelayControl {
         self.least.add(now, rtt);
         self.smooth_rtt = if self.smooth_rtt > 0.0 { self.smooth_rtt * 0.875 + rtt * 0.125 } else { rtt };
         self.round.add(&batch, rtt, is_used);
-        self.recent.0 += batch.bytes;
-        if self.recent.0 > RECENT_PACKETS * self.mtu {
-            self.recent = (self.recent.0 / 2.0, self.recent.1 / 2.0);
+        for (losses, packets) in self.losses.iter_mut().zip(RECENT_PACKETS) {
+            losses.add_arrived(batch.bytes, packets * self.mtu);
         }
         let least = self.least.get();
         if let Some(last) = self.last {
@@ -177,7 +197,7 @@ impl DelayControl {
     /// Packets are lost.
     pub(super) fn handle_lost(&mut self, bytes: f64) {
         self.round.lost += bytes;
-        self.recent.1 += bytes;
+        self.losses.iter_mut().for_each(|losses| losses.lost += bytes);
     }
 
     /// A router marks packets because it queues them.
@@ -416,8 +436,8 @@ const FLOOR_MICROS: f64 = 20e3;
 const FEWEST_BATCHES: u32 = 3;
 const FEW_FREE: u32 = 2;
 const FEWEST_PACKETS: f64 = 4.0;
-/// Loss is that of about so many packets.
-const RECENT_PACKETS: f64 = 800.0;
+/// Losses are those of about so many packets.
+const RECENT_PACKETS: [f64; 2] = [800.0, 8000.0];
 const MAX_WINDOW: f64 = (1u64 << 28) as f64;
 
 #[cfg(test)]

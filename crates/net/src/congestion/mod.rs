@@ -29,6 +29,17 @@ pub(crate) struct LinkGauge {
 }
 
 impl LinkGauge {
+    /// What is known of a path, for tests.
+    #[cfg(test)]
+    pub(crate) fn of(bytes_per_second: f64, least_rtt_micros: u64) -> Self {
+        Self {
+            bytes_per_second: AtomicU64::new(bytes_per_second as u64),
+            least_rtt_micros: AtomicU64::new(least_rtt_micros),
+            knows_rate: AtomicBool::new(true),
+            ..Self::default()
+        }
+    }
+
     /// Rate of the path; `None` if it is unknown.
     pub(crate) fn bytes_per_second(&self) -> Option<f64> {
         let rate = self.bytes_per_second.load(Ordering::Relaxed);
@@ -195,5 +206,5 @@ impl Controller for ViewerWindow {
 /// Poses of two minutes.
 const VIEWER_WINDOW_BYTES: u64 = 1 << 20;
 /// 32 packets: what a slow link delivers in some tens of milliseconds.
-const FIRST_WINDOW_BYTES: u64 = 32 * 1200;
+pub(crate) const FIRST_WINDOW_BYTES: u64 = 32 * 1200;
 const EXTRA_BYTES: u64 = 16 * 1200;

@@ -1,9 +1,11 @@
 //! The server: it admits viewers and hands out one [`Session`] for each connection.
 
 mod frames;
+mod known_paths;
 mod pending_hellos;
 mod session;
 mod stranger_log;
+mod streams;
 
 use std::collections::HashMap;
 use std::io;
@@ -19,20 +21,26 @@ use isinglass_core::session::admission::{Admission, ViewerId};
 use isinglass_core::session::chunks::CONTROL_PRIORITY;
 use isinglass_core::session::pose::MAX_POSES_PER_SECOND;
 use isinglass_core::session::server::violation;
-use isinglass_core::wire::{ClientMessage, Refusal, ServerMessage, Token, VolumeDescription, Welcome};
+use isinglass_core::wire::{
+    ClientMessage, PROTOCOL_VERSION, Refusal, ServerMessage, Token, VolumeDescription, Welcome,
+    version_notice,
+};
 use quinn::congestion::ControllerFactory;
 use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, Runtime, SendStream, TokioRuntime};
 use tokio::sync::{Notify, mpsc};
+use tokio::task::AbortHandle;
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use crate::carrier::{CarrierSocket, StreamDoor, is_stream_address, peer_address};
 use crate::clock::Clock;
 use crate::congestion::{DelayConfig, LinkGauge};
 use crate::control_stream::{self, ReceiveError};
-use crate::identity::{Fingerprint, Identity, IdentityError, random_token};
+use crate::identity::{Fingerprint, Identity, IdentityError, quic_server, random_token};
 use crate::link::Link;
 use crate::transport;
 
+use known_paths::KnownPaths;
 use pending_hellos::{MAX_PENDING, PendingHellos};
 use stranger_log::StrangerLog;
 
@@ -43,6 +51,8 @@ pub use session::{Control, Session, SessionClosed};
 #[derive(Debug)]
 pub struct Server {
     endpoint: Endpoint,
+    /// Accepts byte streams.
+    listening: Option<AbortHandle>,
     shared: Arc<ServerShared>,
     sessions: mpsc::Receiver<Session>,
     fingerprint: Fingerprint,
@@ -87,7 +97,7 @@ pub struct Greeting {
 #[derive(Debug, thiserror::Error)]
 pub enum BindError {
     /// Another program has the port.
-    #[error("UDP port {} of {} is in use; choose another with --listen", .0.port(), .0.ip())]
+    #[error("port {} of {} is in use; choose another with --listen", .0.port(), .0.ip())]
     InUse(SocketAddr),
     /// The server cannot listen on the address.
     #[error("cannot listen on {address}: {source}")]
@@ -110,9 +120,12 @@ struct ServerShared {
     options: ServerOptions,
     config: quinn::ServerConfig,
     other_congestion: Option<OtherCongestion>,
+    /// Where the byte streams of viewers come in.
+    door: Option<StreamDoor>,
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
     pending: Arc<PendingHellos>,
+    known_paths: KnownPaths,
     strangers: StrangerLog,
     /// Connections that came to nothing.
     refusals: Arc<AtomicU64>,
@@ -144,9 +157,11 @@ impl Server {
             io::ErrorKind::AddrInUse => BindError::InUse(address),
             _ => BindError::Io { address, source },
         };
-        let socket = std::net::UdpSocket::bind(address).map_err(io_error)?;
-        let socket = TokioRuntime.wrap_udp_socket(socket).map_err(io_error)?;
-        let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls()?));
+        let (udp, listener) = streams::bind_both(address).map_err(io_error)?;
+        let udp = TokioRuntime.wrap_udp_socket(udp).map_err(io_error)?;
+        let (socket, door) = CarrierSocket::with_streams(udp);
+        let tls = identity.tls()?;
+        let mut config = quic_server(tls.clone())?;
         config.max_incoming(MAX_PENDING).incoming_buffer_size(64 << 10).incoming_buffer_size_total(4 << 20);
         let endpoint = Endpoint::new_with_abstract_socket(
             EndpointConfig::default(),
@@ -155,7 +170,12 @@ impl Server {
             Arc::new(TokioRuntime),
         );
         let endpoint = endpoint.map_err(io_error)?;
-        Ok(Self::over(endpoint, config, identity.fingerprint(), options, greeting.into(), None))
+        let fingerprint = identity.fingerprint();
+        let mut server =
+            Self::over(endpoint, config, fingerprint, options, greeting.into(), None, Some(door.clone()));
+        let accepting = streams::accept_all(listener, tls, door, server.shared.clone());
+        server.listening = Some(tokio::spawn(accepting).abort_handle());
+        Ok(server)
     }
 
     /// The same over an endpoint with this configuration.
@@ -166,21 +186,24 @@ impl Server {
         options: ServerOptions,
         greeting: Arc<Greeting>,
         other_congestion: Option<OtherCongestion>,
+        door: Option<StreamDoor>,
     ) -> Self {
         let shared = Arc::new(ServerShared {
             options,
             config,
             other_congestion,
+            door,
             greeting: Mutex::new(greeting),
             doors: Mutex::default(),
             pending: Arc::default(),
+            known_paths: KnownPaths::default(),
             strangers: StrangerLog::default(),
             refusals: Arc::default(),
             left: Arc::default(),
         });
         let (sender, sessions) = mpsc::channel(MAX_UNACCEPTED);
         tokio::spawn(accept_all(endpoint.clone(), shared.clone(), sender));
-        Self { endpoint, shared, sessions, fingerprint }
+        Self { endpoint, listening: None, shared, sessions, fingerprint }
     }
 
     /// The bound address with its real port.
@@ -245,23 +268,34 @@ impl Server {
 
     /// Ends all sessions and waits briefly until the viewers know.
     pub async fn close(&self) {
+        self.stop_listening();
         self.endpoint.close(transport::CLOSE_SESSION, b"the server was stopped");
         let _ = tokio::time::timeout(Duration::from_millis(500), self.endpoint.wait_idle()).await;
     }
 }
 
+impl Server {
+    fn stop_listening(&self) {
+        self.listening.iter().for_each(AbortHandle::abort);
+    }
+}
+
 impl Drop for Server {
     fn drop(&mut self) {
+        self.stop_listening();
         self.endpoint.close(transport::CLOSE_SESSION, b"the server was stopped");
     }
 }
 
 impl ServerShared {
     /// The configuration of one connection.
-    fn config_with(&self, gauge: Arc<LinkGauge>) -> Arc<quinn::ServerConfig> {
+    fn config_with(&self, gauge: Arc<LinkGauge>, remote: SocketAddr) -> Arc<quinn::ServerConfig> {
         let congestion = match &self.other_congestion {
             Some(OtherCongestion(other)) => other.clone(),
-            None => Arc::new(DelayConfig { gauge, ..DelayConfig::default() }),
+            None => {
+                let first_window_bytes = self.known_paths.first_window_bytes(remote.ip(), Instant::now());
+                Arc::new(DelayConfig { gauge, first_window_bytes })
+            }
         };
         let mut config = self.config.clone();
         config.transport_config(Arc::new(transport::server(congestion)));
@@ -277,33 +311,52 @@ impl ServerShared {
 async fn accept_all(endpoint: Endpoint, shared: Arc<ServerShared>, sessions: mpsc::Sender<Session>) {
     while let Some(incoming) = endpoint.accept().await {
         let remote = incoming.remote_address();
+        let shared = shared.clone();
+        let sessions = sessions.clone();
+        if is_stream_address(remote) {
+            tokio::spawn(serve_stream(incoming, shared, sessions).instrument(connection_span(remote)));
+            continue;
+        }
         // One more round trip proves the address; on this machine nobody can forge it.
         if !remote.ip().is_loopback() && !incoming.remote_address_validated() && incoming.may_retry() {
             let _ = incoming.retry();
             continue;
         }
-        let shared = shared.clone();
-        let sessions = sessions.clone();
-        tokio::spawn(
-            async move {
-                let Some(mut seat) = shared.pending.enter(remote.ip(), Instant::now()) else {
-                    shared.tell(remote, &"too many connections, or wrong tokens, at once");
-                    return incoming.refuse();
-                };
-                let admitted = tokio::select! {
-                    admitted = admit(&shared, incoming) => admitted,
-                    () = seat.is_lost() => Err("no hello yet, and others want to come in".into()),
-                    () = tokio::time::sleep(2 * transport::AUTH_DEADLINE) => Err(no_hello(2)),
-                };
-                drop(seat);
-                match admitted {
-                    Ok(admitted) => session::run(admitted, sessions).await,
-                    Err(why) => shared.tell(remote, &why),
-                }
+        let serving = async move {
+            let Some(mut seat) = shared.pending.enter(remote.ip(), Instant::now()) else {
+                shared.tell(remote, &CROWDED);
+                return incoming.refuse();
+            };
+            let admitted = tokio::select! {
+                admitted = admit(&shared, incoming) => admitted,
+                why = seat.is_given_up() => Err(why),
+            };
+            drop(seat);
+            match admitted {
+                Ok(admitted) => session::run(admitted, sessions).await,
+                Err(why) => shared.tell(remote, &why),
             }
-            .instrument(tracing::info_span!("connection", %remote)),
-        );
+        };
+        tokio::spawn(serving.instrument(connection_span(remote)));
     }
+}
+
+/// Serves the one connection over a byte stream. The stream has the seat.
+async fn serve_stream(incoming: Incoming, shared: Arc<ServerShared>, sessions: mpsc::Sender<Session>) {
+    let remote = incoming.remote_address();
+    let Some(door) = shared.door.clone().filter(|door| door.begin(remote)) else { return incoming.refuse() };
+    match admit(&shared, incoming).await {
+        Ok(admitted) => {
+            door.admit(remote);
+            session::run(admitted, sessions).await;
+        }
+        Err(why) => shared.tell(remote, &why),
+    }
+    door.close(remote);
+}
+
+fn connection_span(remote: SocketAddr) -> tracing::Span {
+    tracing::info_span!("connection", remote = %peer_address(remote))
 }
 
 /// A connection whose hello was accepted and answered.
@@ -336,9 +389,13 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
     let remote = incoming.remote_address();
     let gauge = Arc::<LinkGauge>::default();
     let greeted = async {
-        let connecting = incoming.accept_with(shared.config_with(gauge.clone()));
+        let connecting = incoming.accept_with(shared.config_with(gauge.clone(), remote));
         let connection = connecting.map_err(|e| e.to_string())?.await.map_err(|e| e.to_string())?;
         let guard = CloseUnlessKept(Some(connection.clone()));
+        if transport::has_no_common_version(&connection) {
+            connection.close(transport::CLOSE_VERSION, version_notice());
+            return Err(format!("a viewer of another protocol version than {PROTOCOL_VERSION}"));
+        }
         let (send, mut recv) = connection.accept_bi().await.map_err(|e| e.to_string())?;
         let _ = send.set_priority(CONTROL_PRIORITY);
         let hello = control_stream::receive::<ClientMessage>(&mut recv).await;
@@ -348,7 +405,7 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
         match tokio::time::timeout(transport::AUTH_DEADLINE, greeted).await {
             Ok(Ok(greeted)) => greeted,
             Ok(Err(e)) => return Err(e),
-            Err(_) => return Err(no_hello(1)),
+            Err(_) => return Err(format!("no hello within {:?}", transport::AUTH_DEADLINE)),
         };
     let decision = match hello {
         Ok(ClientMessage::Hello { protocol, token, instance, name }) => {
@@ -414,7 +471,7 @@ impl ServerShared {
     /// Logs that a connection came to nothing.
     fn tell(&self, remote: SocketAddr, why: &dyn std::fmt::Display) {
         self.refusals.fetch_add(1, Ordering::Relaxed);
-        self.strangers.tell(remote, Instant::now(), why);
+        self.strangers.tell(peer_address(remote), Instant::now(), why);
     }
 
     /// The session is over; a newer one of the same viewer stays.
@@ -441,9 +498,7 @@ async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal
     format!("refused: {reason}")
 }
 
-fn no_hello(times: u32) -> String {
-    format!("no hello within {:?}", times * transport::AUTH_DEADLINE)
-}
+const CROWDED: &str = "too many connections, or wrong tokens, at once";
 
 /// Closes a connection unless somebody takes it over.
 struct CloseUnlessKept(Option<Connection>);

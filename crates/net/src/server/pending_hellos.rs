@@ -9,6 +9,8 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
+use crate::transport::AUTH_DEADLINE;
+
 #[derive(Debug, Default)]
 pub(super) struct PendingHellos {
     room: Mutex<Room>,
@@ -92,9 +94,17 @@ impl Room {
 
 impl Seat {
     /// Returns when another connection has taken the seat.
-    pub(super) async fn is_lost(&mut self) {
+    async fn is_lost(&mut self) {
         // Nothing is ever sent; only the drop counts.
         let _ = (&mut self.stays).await;
+    }
+
+    /// Returns why a connection without a hello is given up, when another has its seat or a hello is long overdue.
+    pub(super) async fn is_given_up(&mut self) -> String {
+        tokio::select! {
+            () = self.is_lost() => "no hello yet, and others want to come in".into(),
+            () = tokio::time::sleep(2 * AUTH_DEADLINE) => format!("no hello within {:?}", 2 * AUTH_DEADLINE),
+        }
     }
 }
 
@@ -105,7 +115,7 @@ impl Drop for Seat {
 }
 
 /// The network of one owner: an IPv4 address, or 64 bits of IPv6.
-fn place_of(address: IpAddr) -> IpAddr {
+pub(super) fn place_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(six) if !six.is_loopback() => {
             IpAddr::V6(Ipv6Addr::from_bits(six.to_bits() & !u128::from(u64::MAX)))

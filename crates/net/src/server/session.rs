@@ -17,6 +17,7 @@ use tracing::Instrument;
 
 use super::frames::{FrameSender, Pace};
 use super::{Admitted, Greeting, refuse};
+use crate::carrier::{Carrier, is_stream_address, peer_address};
 use crate::clock::Clock;
 use crate::congestion::LinkGauge;
 use crate::control_stream::{self, ReceiveError};
@@ -133,8 +134,9 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     let close = Arc::new(CloseOnDrop(connection.clone()));
     let max_viewers = place.shared.options.max_viewers;
     let (heard_in, heard) = watch::channel(());
-    let remote = connection.remote_address();
-    tracing::info!(parent: &span, %remote, name, "viewer connected");
+    let remote = peer_address(connection.remote_address());
+    let carrier = if is_stream_address(connection.remote_address()) { Carrier::Tcp } else { Carrier::Udp };
+    tracing::info!(parent: &span, %remote, %carrier, name, "viewer connected");
     let session = Session {
         id,
         viewer,
@@ -165,6 +167,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         // When any of these ends, the rest ends with it. A closed connection keeps its own reason.
         connection.close(transport::CLOSE_PROTOCOL, b"the control stream ended");
         let reason = connection.closed().await;
+        place.shared.known_paths.note(remote.ip(), Instant::now(), &link.gauge);
         tracing::info!("viewer gone: {reason}");
     };
     serving.instrument(span).await;

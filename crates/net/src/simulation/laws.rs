@@ -7,7 +7,7 @@ use std::time::Duration;
 use quinn::congestion::CubicConfig;
 
 use super::*;
-use crate::identity::{SERVER_NAME, pinned_tls};
+use crate::identity::{SERVER_NAME, pinned_tls, quic_client, quic_server};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -112,7 +112,7 @@ async fn bulk(network: Network) -> Arc<AtomicU64> {
         .stream_receive_window((16u32 << 20).into());
     let transport = Arc::new(transport);
     let identity = Identity::generate().expect("random numbers");
-    let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls().expect("TLS")));
+    let mut config = quic_server(identity.tls().expect("TLS")).expect("TLS");
     config.transport_config(transport.clone());
     let runtime = Arc::new(TokioRuntime);
     let server =
@@ -120,7 +120,7 @@ async fn bulk(network: Network) -> Arc<AtomicU64> {
     let client = Endpoint::new_with_abstract_socket(seeded(92), None, network.socket(to), runtime);
     let (server, client) = (server.expect("a socket"), client.expect("a socket"));
     let (tls, _) = pinned_tls(identity.fingerprint()).expect("TLS");
-    let mut config = quinn::ClientConfig::new(Arc::new(tls));
+    let mut config = quic_client(tls).expect("TLS");
     config.transport_config(transport);
     let connecting = client.connect_with(config, from, SERVER_NAME).expect("an address");
     let accepted = async { server.accept().await.expect("a connection").await };
@@ -255,6 +255,31 @@ fn viewers_share_a_link_fairly() {
         ages.iter().all(|age| *age <= 2.0 * mean) && rates.iter().all(|rate| *rate > 20.0),
         "{ages:?} {rates:?}"
     );
+}
+
+/// A viewer comes for the first time, and then again: its ages in the first two seconds, ms.
+fn ages_at_first(model: &LinkModel) -> [f64; 2] {
+    in_virtual_time(async {
+        let mut world = World::new(model, None);
+        let links = world.serve(2, Renderer::default());
+        let mut ages = [0.0; 2];
+        for (link, age) in links.iter().zip(&mut ages) {
+            let client = world.viewer(link);
+            let shown = model::view(client, 8 * SECOND, Duration::ZERO).await;
+            *age = shown.age(0.5, 0.0, 2e3);
+            tokio::time::sleep(SECOND).await;
+        }
+        ages
+    })
+}
+
+#[test]
+fn a_session_starts_with_what_the_last_one_showed() {
+    for (mbit, rtt_ms) in [(20.0, 40), (50.0, 150), (100.0, 300)] {
+        let [stranger, known] = ages_at_first(&link_model(mbit, rtt_ms, 0.0));
+        println!("{mbit} Mbit/s, {rtt_ms} ms: {stranger:.0} ms at first, {known:.0} ms when it comes again");
+        assert!(known <= stranger + 1.0, "{known} {stranger}");
+    }
 }
 
 #[test]

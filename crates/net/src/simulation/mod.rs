@@ -20,7 +20,7 @@ use tokio::time::Instant;
 use crate::client::model::ModelClient;
 use crate::clock::Clock;
 use crate::conditioner::LinkModel;
-use crate::identity::Identity;
+use crate::identity::{Identity, quic_server};
 use crate::link::Link;
 use crate::server::{OtherCongestion, Server, ServerOptions};
 use model::{Renderer, Shown};
@@ -45,7 +45,7 @@ impl World {
         let epoch = Instant::now();
         let clock = Clock::new(move || epoch.elapsed().as_micros() as u64);
         let identity = Identity::generate().expect("random numbers");
-        let config = quinn::ServerConfig::with_crypto(Arc::new(identity.tls().expect("TLS")));
+        let config = quic_server(identity.tls().expect("TLS")).expect("TLS");
         let socket = network.socket(server_address());
         let runtime = Arc::new(TokioRuntime);
         let endpoint =
@@ -58,6 +58,7 @@ impl World {
             options,
             model::greeting().into(),
             congestion.map(OtherCongestion),
+            None,
         );
         Self { network, server: Some(server), clock, num_viewers: 0, seed: model.seed }
     }

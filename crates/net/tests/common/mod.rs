@@ -1,6 +1,7 @@
 //! A server with a generator of small frames, and what tests wait with.
 #![allow(dead_code, reason = "each test file uses another part")]
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
@@ -12,7 +13,10 @@ use isinglass_core::look::Look;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::wire::{ServerStats, VolumeDescription};
-use isinglass_net::{Client, ClientOptions, Greeting, Identity, Link, Server, ServerOptions, Session};
+use isinglass_net::{
+    Client, ClientOptions, Fingerprint, Greeting, Identity, Link, Server, ServerOptions, Session,
+};
+use quinn::Endpoint;
 
 pub(crate) const INTRINSICS: Intrinsics = Intrinsics::perspective(64, 64, 0.6);
 
@@ -132,9 +136,27 @@ pub(crate) async fn until<T>(what: &str, mut probe: impl FnMut() -> Option<T>) -
 }
 
 /// Waits until the client has all of a frame that answers this pose.
-pub(crate) async fn until_answered(
-    client: &Client,
-    pose: PoseId,
-) -> std::sync::Arc<isinglass_net::ReceivedFrame> {
+pub(crate) async fn until_answered(client: &Client, pose: PoseId) -> Arc<isinglass_net::ReceivedFrame> {
     until("an answer", || client.latest_frame().filter(|f| f.frame.header.pose == pose)).await
+}
+
+/// An endpoint with a certificate of its own, which offers these protocols.
+pub(crate) fn forged_endpoint(protocols: &[&[u8]]) -> (Endpoint, Fingerprint) {
+    let identity = rcgen::KeyPair::generate().unwrap();
+    let certificate =
+        rcgen::CertificateParams::new(vec!["isinglass".into()]).unwrap().self_signed(&identity).unwrap();
+    let mut tls =
+        rustls::ServerConfig::builder_with_provider(Arc::new(rustls::crypto::ring::default_provider()))
+            .with_protocol_versions(&[&rustls::version::TLS13])
+            .unwrap()
+            .with_no_client_auth()
+            .with_single_cert(vec![certificate.der().clone()], identity.into())
+            .unwrap();
+    tls.alpn_protocols = protocols.iter().map(|p| p.to_vec()).collect();
+    let digest = ring::digest::digest(&ring::digest::SHA256, certificate.der());
+    let hex: String = digest.as_ref().iter().map(|b| format!("{b:02x}")).collect();
+    let tls = quinn::crypto::rustls::QuicServerConfig::try_from(tls).unwrap();
+    let config = quinn::ServerConfig::with_crypto(Arc::new(tls));
+    let endpoint = Endpoint::server(config, ([127, 0, 0, 1], 0).into()).unwrap();
+    (endpoint, format!("sha256:{hex}").parse().unwrap())
 }

@@ -24,7 +24,10 @@ impl Viewer {
         }
         let now = self.now_micros();
         let talk = self.session.control.talk();
-        let request = talk.pose.newest()?;
+        let request = match &self.led {
+            Some(led) => led.request?,
+            None => talk.pose.newest()?,
+        };
         let larger_due = self.frames.larger_due();
         if larger_due.is_some_and(|due| due <= now) && self.pipeline.is_idle() {
             self.frames.handle_unanswered();
@@ -36,6 +39,10 @@ impl Viewer {
             }
             let due = self.frames.finer_due(&talk.look).filter(|_| self.pipeline.is_idle())?;
             return Some(Instant::now() + Duration::from_micros(due.saturating_sub(now)));
+        }
+        if self.led.is_some() {
+            drop(talk);
+            return self.begin_led(now, &request);
         }
         let look = (**talk.look.look()).clone();
         let mut num_lists = bounded(request.intrinsics, look.k).num_pixels();
@@ -71,6 +78,20 @@ impl Viewer {
         let order = FrameOrder { viewer, scene, look, near, header, wish: wish.clone(), held };
         let making = async move { generator.generate(order).await };
         self.pipeline.generate(asked, wish, making);
+        None
+    }
+
+    /// Begins a frame that the leader's viewer has already, if it is time.
+    fn begin_led(&mut self, now: u64, request: &PoseRequest) -> Option<Instant> {
+        let wait = self.pipeline.begins_in(request.intrinsics.num_pixels())?;
+        if wait > Duration::ZERO {
+            return Some(Instant::now() + wait);
+        }
+        self.frames.bound(usize::MAX, false);
+        let mut asked =
+            self.frames.begin(now, request, &self.session.control.talk().look, &self.present.bounds);
+        let (generated, wish) = self.led_frame(&mut asked)?;
+        self.pipeline.generate(asked, wish, std::future::ready(Some(Ok(generated))));
         None
     }
 
@@ -137,7 +158,12 @@ impl Viewer {
                 }
                 let look = self.session.talk().look.handle_generated(now, version, generated.is_draft);
                 match look {
-                    GeneratedLook::Usable => self.pipeline.put_made(asked, generated),
+                    GeneratedLook::Usable => {
+                        if self.presence.has_followers() {
+                            self.lead(&asked, &generated);
+                        }
+                        self.pipeline.put_made(asked, generated);
+                    }
                     GeneratedLook::Draft => {
                         self.frames.handle_unanswered();
                         self.pipeline.drop_made(frame);

@@ -22,6 +22,7 @@ use tempfile::TempDir;
 mod files;
 mod layout;
 mod recents;
+mod remote;
 mod states;
 
 use super::*;
@@ -158,6 +159,7 @@ impl Stage {
         let servers = Arc::new(servers);
         let services = Services {
             servers: servers.clone(),
+            remote: Some(Arc::new(remote::Machines)),
             recent_file: Some(folder.path().join("recent.toml")),
             has_system_dialog: false,
             calendar: || 1_000_000,

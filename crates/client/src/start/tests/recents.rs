@@ -16,7 +16,7 @@ fn a_window_that_begins_connected_keeps_what_was_opened_before() {
     let (_runtime, links) = porter(&Builtin::Shells.volume(16));
     let client = Client::connect(&links[0], ClientOptions::default()).unwrap();
     client.wait_connected(Duration::from_secs(60)).unwrap();
-    let first = First::Connected { source: Box::new(client), link: links[0].clone() };
+    let first = First::Connected { source: Box::new(client), link: links[0].clone(), remote: None };
     let earlier = vec![
         entry(RecentPlace::Server { host: "::1".into(), port: 4433 }, "head.nrrd"),
         entry(RecentPlace::Volume(VolumeSource::new("/data/b.nrrd")), "b.nrrd"),
@@ -142,7 +142,8 @@ fn a_source_that_is_forgotten_leaves_no_picture() {
             .unwrap();
     let place = RecentPlace::Server { host: "far".into(), port: 4433 };
     for is_forgotten in [false, true] {
-        let first = First::Connected { source: Box::new(HereSource::new()), link: link.clone() };
+        let first =
+            First::Connected { source: Box::new(HereSource::new()), link: link.clone(), remote: None };
         let mut stage = Stage::begun_with(first, |_| Recent::default());
         let pictures = stage.folder.path().join("pictures");
         // Another window's.
