@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 
 use super::model::view;
 use super::*;
-use crate::identity::{SERVER_NAME, pinned_tls};
+use crate::identity::{SERVER_NAME, pinned_tls, quic_client};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -105,7 +105,7 @@ async fn harm(world: (Network, Link, u64), harm: Harm) {
                 );
                 let endpoint = endpoint.expect("a socket");
                 let (tls, _) = pinned_tls(link.fingerprint).expect("TLS");
-                let config = quinn::ClientConfig::new(Arc::new(tls));
+                let config = quic_client(tls).expect("TLS");
                 let connecting =
                     endpoint.connect_with(config, server_address(), SERVER_NAME).expect("an address");
                 if harm == Harm::Handshakes {
