@@ -1,7 +1,7 @@
 //! Can anything that a peer sends make the other side do more than refuse it?
 //!
-//! Each kind of input is a function in `common/wire_targets.rs`, which any fuzzer can call. The one here has a seed. It
-//! damages inputs that were taken, and goes on from each input that became something new. Those are kept in
+//! Each kind of input is a function in `common/wire_targets.rs`, which any fuzzer can call. The one here has a seed.
+//! It damages inputs that were taken, and goes on from each input that became something new. Those are kept in
 //! `corpora/`, which an ordinary test run repeats. Panics and memory beyond the limit are findings.
 
 #[path = "common/fuzzing.rs"]

@@ -1,5 +1,5 @@
-//! Viewers without a window on a server anywhere: they play a camera path at a display's rate, cast what a window would
-//! show, and measure it. All times are on the viewer's own clock, so two machines need no common one.
+//! Viewers without a window on a server anywhere: they play a camera path at a display's rate, cast what a window
+//! would show, and measure it. All times are on the viewer's own clock, so two machines need no common one.
 
 mod painter;
 mod pictures;
@@ -49,8 +49,8 @@ pub struct VisitOptions {
     pub every: Option<u32>,
 }
 
-/// Lets all `clients` play at the same time, and writes their refreshes, pictures and figures to `out`, which is created
-/// if necessary. Only the first casts pictures, because the others would slow it down.
+/// Lets all `clients` play at the same time, and writes their refreshes, pictures and figures to `out`, which is
+/// created if necessary. Only the first casts pictures, because the others would slow it down.
 ///
 /// # Errors
 /// If a viewer sees no whole picture, or a file cannot be written. The other viewers end first.

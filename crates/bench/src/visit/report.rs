@@ -18,8 +18,8 @@ pub struct VisitReport {
     pub viewers: Vec<Visit>,
 }
 
-/// The figures of one viewer. Ages are from the moment in which a frame's pose was sent to that in which its picture was
-/// finished, on the viewer's clock.
+/// The figures of one viewer. Ages are from the moment in which a frame's pose was sent to that in which its picture
+/// was finished, on the viewer's clock.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Visit {
     pub(crate) server: String,
