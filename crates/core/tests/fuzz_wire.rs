@@ -10,6 +10,7 @@ mod fuzzing;
 mod targets;
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::Ordering::Relaxed;
@@ -83,8 +84,8 @@ fn fuzz(target: &Target, duration: Duration, most: u64, seed: u64) -> BTreeMap<S
         mutate(&mut bytes, &pool[other], &mut random);
         let what = take(target, &bytes);
         inputs += 1;
-        if !found.contains_key(&what) {
-            found.insert(what, bytes.clone());
+        if let Entry::Vacant(new) = found.entry(what) {
+            new.insert(bytes.clone());
             pool.push(bytes);
         }
     }

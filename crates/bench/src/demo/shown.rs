@@ -87,7 +87,7 @@ impl Gaps {
                     since = Some((now.at, true));
                 }
                 Some(_) if now.frame_age == Some(Duration::ZERO) => {
-                    since = Some((now.at + round_trip, false))
+                    since = Some((now.at + round_trip, false));
                 }
                 Some(_) => {}
             }
