@@ -94,6 +94,11 @@ fn number_of(client: &Client, name: &str) -> u32 {
     until("a name", || client.talk().viewers.list().iter().find(|v| v.name == name).map(|v| v.number))
 }
 
+fn follow(client: &Client, leader: Option<&str>) {
+    let number = leader.map(|name| number_of(client, name));
+    client.talk().viewers.follow(number);
+}
+
 #[test]
 fn who_follows_gets_the_frames_of_the_leader_rendered_once() {
     let host = Host::new();
@@ -103,7 +108,7 @@ fn who_follows_gets_the_frames_of_the_leader_rendered_once() {
     follower.set_pose(pose(40), OTHER_SIZE);
     frame_from(&follower, pose(40));
     // It has what the leader sees at rest, from the leader's camera, at once.
-    follower.talk().viewers.follow(Some(number_of(&follower, "leader")));
+    follow(&follower, Some("leader"));
     let led = frame_from(&follower, pose(0));
     assert_eq!(led.frame.header.pose, PoseId(0), "it answers none of its own poses");
     assert_eq!(led.frame.header.camera.intrinsics, SIZE);
@@ -126,7 +131,7 @@ fn who_follows_gets_the_frames_of_the_leader_rendered_once() {
         talk.look.in_force().is_some_and(|(_, look)| look.k == 3).then_some(())
     });
     // The control: on its own again, it gets its own frames.
-    follower.talk().viewers.follow(None);
+    follow(&follower, None);
     let own = frame_from(&follower, pose(52));
     assert_eq!(own.frame.header.camera.intrinsics, OTHER_SIZE);
 }
@@ -139,11 +144,11 @@ fn who_leaves_is_followed_no_longer_and_nobody_follows_in_a_circle() {
         client.set_pose(pose(1), SIZE);
         frame_from(client, pose(1));
     }
-    follower.talk().viewers.follow(Some(number_of(&follower, "leader")));
+    follow(&follower, Some("leader"));
     let follows = |client: &Client| client.talk().viewers.list().iter().any(|v| v.follows.is_some());
     until("the news", || follows(&leader).then_some(()));
     // Two that follow each other would both stand still.
-    leader.talk().viewers.follow(Some(number_of(&leader, "follower")));
+    follow(&leader, Some("follower"));
     until("a refusal", || leader.talk().link.take_notice().map(drop));
     until("the server's word", || leader.talk().viewers.following().is_none().then_some(()));
     drop(leader);

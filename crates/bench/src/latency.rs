@@ -179,9 +179,9 @@ pub fn table(report: &LatencyReport) -> String {
             r.dssim_last_image_mean,
             r.dssim_last_image_mean / r.dssim_shown_mean.max(1e-9),
             r.pose_lag_frames_max,
-            r.frame_age_ms_mean,
+            r.shown.frame_age_ms_mean,
             r.bytes_per_frame_mean,
-            r.freezes,
+            r.shown.freezes,
             r.rest_max_abs_255,
         );
     }

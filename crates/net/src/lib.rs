@@ -23,7 +23,7 @@ mod work;
 pub use carrier::Carrier;
 pub use client::{Client, ClientError, ClientOptions, ConnectError, LinkStats, ReceivedFrame, State, Tunnel};
 pub use clock::Clock;
-pub use conditioner::LinkModel;
+pub use conditioner::{LinkModel, NamedLink};
 pub use identity::{Fingerprint, Identity, random_token};
 pub use journal::Journal;
 pub use link::{Link, LinkError, place_of, state_of_link};

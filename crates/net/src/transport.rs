@@ -41,6 +41,12 @@ const KEEP_ALIVE: Duration = Duration::from_millis(500);
 /// Long, because a client tries its old connection as long as it has no other.
 const IDLE_MILLIS: u32 = 120_000;
 
+/// A packet counts as lost when so many later ones have arrived. Radio links let packets overtake each other. Waiting
+/// for them costs little, because parity restores what a moving camera needs.
+const REORDERED_PACKETS: u32 = 16;
+/// The same as a time, in round trips.
+const REORDERED_ROUND_TRIPS: f32 = 1.25;
+
 /// Settings of both sides.
 fn common(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConfig {
     let mut acks = AckFrequencyConfig::default();
@@ -48,6 +54,8 @@ fn common(congestion: Arc<dyn ControllerFactory + Send + Sync>) -> TransportConf
     let mut t = TransportConfig::default();
     t.congestion_controller_factory(congestion)
         .ack_frequency_config(Some(acks))
+        .packet_threshold(REORDERED_PACKETS)
+        .time_threshold(REORDERED_ROUND_TRIPS)
         .initial_rtt(Duration::from_millis(100))
         .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_MILLIS))));
     t

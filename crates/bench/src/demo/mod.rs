@@ -4,11 +4,13 @@
 //! Playing runs in real time and only records cameras and frames. Pictures are made and compared with the truth
 //! afterwards, so that this does not slow down the measured system.
 
+pub(crate) mod course;
 mod evaluate;
-mod play;
+pub(crate) mod play;
 mod plot;
 mod report;
-mod script;
+pub(crate) mod script;
+pub(crate) mod shown;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -36,6 +38,7 @@ use isinglass_core::orbit::Orbit;
 use isinglass_formats::{OpenedScene, open_scene};
 
 pub use report::Report;
+use script::Motion;
 
 /// A laboratory's way of making frames and pictures.
 #[derive(Clone)]
@@ -258,6 +261,14 @@ impl DemoOptions {
             mode: self.mode,
             isos: self.isos,
             ..Look::new(opened.transfer.clone())
+        }
+    }
+
+    /// Where the camera goes.
+    fn motion(&self) -> Motion {
+        match &self.path {
+            Some(path) => Motion::Recorded(path.clone()),
+            None => Motion::Orbit { start: self.orbit, degrees_per_second: self.degrees_per_second },
         }
     }
 

@@ -1,9 +1,7 @@
 //! The figures of a demonstration, its files and its text.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use isinglass_client::Standing;
 use isinglass_core::camera::{Camera, Pose};
 use isinglass_formats::png::Rgb8;
 use isinglass_formats::{Selection, write_whole};
@@ -13,6 +11,7 @@ use serde::Serialize;
 use super::evaluate::{Evaluated, Evaluation};
 use super::play::{Played, Tick};
 use super::script::Script;
+use super::shown::{ShownFrames, moving, percentile};
 use super::{DemoOptions, plot};
 use crate::error::BenchError;
 
@@ -53,8 +52,9 @@ pub struct Report {
     pub(crate) pose_lag_frames_max: usize,
     /// Median time for a picture of one prepared frame, measured after playing.
     pub(crate) novel_view_ms: f64,
-    /// Mean time since the displayed frame's pose was set, while the camera moved.
-    pub(crate) frame_age_ms_mean: f64,
+    /// Ages, rate and freezes of frames.
+    #[serde(flatten)]
+    pub(crate) shown: ShownFrames,
     /// Mean angle between the displayed frame's pose and that of the picture, while the camera moved.
     pub(crate) frame_turned_deg_mean: f64,
     /// Whether frames were requested for the predicted pose.
@@ -64,10 +64,6 @@ pub struct Report {
     pub(crate) kept_frames: bool,
     /// Mean size of the displayed server frames, as far as they had arrived when the next one replaced them.
     pub(crate) bytes_per_frame_mean: f64,
-    /// Number of freezes as in the WebRTC statistics: gaps between new server frames while the camera moved, longer
-    /// than three mean gaps and than a mean gap and 150 ms. The time from a movement's start, minus a round trip, and
-    /// that to its end count as gaps.
-    pub(crate) freezes: usize,
     /// Greatest difference between the picture at the end of a rest and a full rendering by the server's renderer.
     pub(crate) rest_max_abs_255: u8,
 }
@@ -85,9 +81,8 @@ impl Report {
         let mean = |of: &dyn Fn(&Evaluated) -> f64| {
             counted.iter().map(|p| of(p)).sum::<f64>() / counted.len().max(1) as f64
         };
-        let moving = || played.ticks.iter().filter(|t| script.is_moving(t.at));
-        let ages: Vec<f64> = moving().filter_map(|t| Some(t.frame_age?.as_secs_f64() * 1e3)).collect();
-        let turns: Vec<f64> = moving().filter_map(|t| Some(t.turned_degrees?.into())).collect();
+        let turns: Vec<f64> =
+            moving(script, &played.ticks).filter_map(|t| Some(t.turned_degrees?.into())).collect();
         let link = &options.link;
         let novel_view_ms = percentile(evaluation.view_ms.clone(), 0.5);
         let refreshes_a_view = (novel_view_ms * 1e-3 * f64::from(options.refresh_hz)) as usize;
@@ -113,13 +108,12 @@ impl Report {
             dssim_last_image_mean: mean(&|p| p.last_image.dssim),
             pose_lag_frames_max: pose_lag(&played.ticks) + refreshes_a_view,
             novel_view_ms,
-            frame_age_ms_mean: ages.iter().sum::<f64>() / ages.len().max(1) as f64,
+            shown: ShownFrames::of(script, &played.ticks, link.rtt),
             frame_turned_deg_mean: turns.iter().sum::<f64>() / turns.len().max(1) as f64,
             predict: options.foresight.predicts,
             guard_band: options.foresight.guards,
             kept_frames: options.foresight.keeps,
             bytes_per_frame_mean: bytes_per_frame(&played.ticks),
-            freezes: freezes(script, &played.ticks, link.rtt),
             rest_max_abs_255: rest_pictures(script, &evaluation.pictures)
                 .map(|p| p.shown.max_abs_255)
                 .max()
@@ -182,10 +176,7 @@ pub(super) fn text(
 ) -> String {
     let ratio = report.dssim_last_image_mean / report.dssim_shown_mean.max(1e-9);
     let measured = played.round_trip.as_secs_f64() * 1e3;
-    let settled = settle_times(&played.script, &played.ticks)
-        .map(|t| t.map_or("never".to_owned(), |t| format!("{:.0} ms", t.as_secs_f64() * 1e3)))
-        .collect::<Vec<_>>()
-        .join(" and ");
+    let shown = &report.shown;
     let mut text = format!(
         "{} at {}x{}, K = {}, {}, on {}\n",
         options.source,
@@ -231,16 +222,27 @@ pub(super) fn text(
     line(
         "frame on the screen",
         format!(
-            "{:.0} ms old, {:.1}° away, {:.0} kB, {} freezes",
-            report.frame_age_ms_mean,
+            "{:.0} ms old, {:.0} ms at worst but 1 %, {:.1}° away, {:.0} kB",
+            shown.frame_age_ms_mean,
+            shown.frame_age_ms_p99,
             report.frame_turned_deg_mean,
             report.bytes_per_frame_mean / 1e3,
-            report.freezes
+        ),
+    );
+    line(
+        "new frames",
+        format!(
+            "{:.0} a second, at most {:.0} ms apart, {} freezes",
+            shown.frames_per_second, shown.longest_gap_ms, shown.freezes
         ),
     );
     line(
         "at rest",
-        format!("the full rendering to {}/255; exact {settled} after the stop", report.rest_max_abs_255),
+        format!(
+            "the full rendering to {}/255; exact {} after the stop",
+            report.rest_max_abs_255,
+            shown.exact_in_words()
+        ),
     );
     if let Some(folder) = files.first().and_then(|f| f.parent()) {
         text += &format!("In {}:\n", folder.display());
@@ -295,51 +297,9 @@ fn bytes_per_frame(ticks: &[Tick]) -> f64 {
     bytes.iter().sum::<u64>() as f64 / bytes.len().max(1) as f64
 }
 
-fn freezes(script: &Script, ticks: &[Tick], round_trip: Duration) -> usize {
-    // Gaps between new frames, and those still open when the movement ends. A round trip always passes before the
-    // first.
-    let (mut closed, mut open) = (Vec::new(), Vec::new());
-    // Start of the gap, and whether that is a frame.
-    let mut since: Option<(Duration, bool)> = None;
-    for pair in ticks.windows(2) {
-        let [before, now] = pair else { continue };
-        let gap = |until: Duration, from: Duration| until.saturating_sub(from).as_secs_f64();
-        match since {
-            None if script.is_moving(now.at) => since = Some((now.at + round_trip, false)),
-            None => {}
-            Some((from, _)) if !script.is_moving(now.at) => {
-                open.push(gap(before.at, from));
-                since = None;
-            }
-            Some((from, is_frame)) if before.frame != now.frame => {
-                if is_frame { &mut closed } else { &mut open }.push(gap(now.at, from));
-                since = Some((now.at, true));
-            }
-            Some(_) => {}
-        }
-    }
-    let mean = closed.iter().sum::<f64>() / closed.len().max(1) as f64;
-    closed.iter().chain(&open).filter(|&&gap| gap > (3.0 * mean).max(mean + 0.150)).count()
-}
-
 /// The last compared picture of each rest.
 fn rest_pictures<'a>(script: &Script, pictures: &'a [Evaluated]) -> impl Iterator<Item = &'a Evaluated> {
     script.rests().into_iter().filter_map(|rest| pictures.iter().rev().find(|p| rest.contains(&p.at)))
-}
-
-/// For each rest, the time from the stop to the first exact picture.
-fn settle_times(script: &Script, ticks: &[Tick]) -> impl Iterator<Item = Option<Duration>> {
-    script.rests().into_iter().map(|rest| {
-        let mut resting = ticks.iter().filter(|t| rest.contains(&t.at));
-        resting.find(|t| t.standing == Standing::Exact).map(|t| t.at - rest.start)
-    })
-}
-
-/// The least value with at least this share at or below it.
-fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let at = ((values.len() as f64 * share).ceil() as usize).clamp(1, values.len().max(1)) - 1;
-    values.get(at).copied().unwrap_or(0.0)
 }
 
 const GAP_PIXELS: u32 = 4;
@@ -349,33 +309,9 @@ const GAP_GREY: u8 = 96;
 mod tests {
     use glam::Vec3;
     use isinglass_core::camera::Intrinsics;
-    use isinglass_core::ids::FrameId;
-    use isinglass_core::space::Aabb;
 
     use super::*;
-    use crate::demo::script::Motion;
-    use isinglass_core::orbit::Orbit;
-
-    /// A refresh every 0.1 s; each shows `frame` and is off the input by `late` refreshes.
-    fn ticks(frames: &[u32], late: usize) -> Vec<Tick> {
-        let bounds = Aabb { min: -Vec3::ONE, max: Vec3::ONE };
-        let intrinsics = Intrinsics::perspective(8, 8, 0.7);
-        let camera = |i: usize| -> Camera { Orbit::default().turned(i as f32).camera(intrinsics, &bounds) };
-        let tick = |(i, &frame): (usize, &u32)| Tick {
-            at: Duration::from_millis(100 * i as u64),
-            azimuth_degrees: i as f32,
-            input: camera(i).pose,
-            camera: camera(i.saturating_sub(late)),
-            frame: FrameId(frame),
-            frame_bytes: u64::from(frame) * 100,
-            kept: None,
-            older: Vec::new(),
-            standing: Standing::Moving,
-            frame_age: None,
-            turned_degrees: None,
-        };
-        frames.iter().enumerate().map(tick).collect()
-    }
+    use crate::demo::shown::tests::ticks;
 
     #[test]
     fn lag_is_measured_and_not_assumed() {
@@ -394,37 +330,9 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_among_steady_frames_is_a_freeze() {
-        let script =
-            Script::new(Motion::Orbit { start: Orbit::default(), degrees_per_second: 30.0 }, Duration::ZERO);
-        let steady: Vec<u32> = (1..20).collect();
-        let freezes = |frames: &[u32]| freezes(&script, &ticks(frames, 0), Duration::from_millis(200));
-        assert_eq!(freezes(&steady), 0);
-        let mut stuck = steady.clone();
-        stuck[8..13].fill(8);
-        assert_eq!(freezes(&stuck), 1);
-        // A server that is slow all the time does not freeze.
-        let slow: Vec<u32> = (1..20).map(|i| i / 4).collect();
-        assert_eq!(freezes(&slow), 0);
-        // One that is there no more, from the start, in the midst or after a frame, does.
-        let tail = |n: u32| (1..60).map(|i: u32| i.min(n)).collect::<Vec<_>>();
-        assert_eq!([1, 5, 15].map(|n| freezes(&tail(n))), [2, 2, 2], "in both movements");
-        let late: Vec<u32> = (1..30).map(|i: u32| if i < 18 { 1 } else { i }).collect();
-        assert_eq!(freezes(&late), 1);
-    }
-
-    #[test]
     fn each_frame_counts_once() {
         // Frames of 100, 200 and 400 bytes.
         assert!((bytes_per_frame(&ticks(&[1, 1, 1, 2, 4, 4], 0)) - 700.0 / 3.0).abs() < 1e-9);
         assert_eq!(bytes_per_frame(&[]), 0.0);
-    }
-
-    #[test]
-    fn percentiles_are_values_that_occur() {
-        let values: Vec<f64> = (1..=100).rev().map(f64::from).collect();
-        assert_eq!(percentile(values.clone(), 0.95), 95.0);
-        assert_eq!(percentile(values, 1.0), 100.0);
-        assert_eq!(percentile(vec![], 0.95), 0.0);
     }
 }

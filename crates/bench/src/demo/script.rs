@@ -113,6 +113,12 @@ impl Script {
             || self.rests().iter().any(|rest| rest.contains(&at) && at < rest.start + counted_rest)
     }
 
+    /// How long the camera moves in all.
+    pub(crate) fn moving(&self) -> Duration {
+        let rests: Duration = self.rests().into_iter().map(|rest| rest.end - rest.start).sum();
+        self.duration().saturating_sub(rests)
+    }
+
     /// Whether the camera moves at a time.
     pub(crate) fn is_moving(&self, at: Duration) -> bool {
         at < self.duration() && !self.rests().iter().any(|rest| rest.contains(&at))

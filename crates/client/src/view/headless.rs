@@ -20,6 +20,8 @@ pub struct DisplayRecord {
     pub at: Duration,
     /// The camera of the picture, from the pose of the same refresh.
     pub camera: Camera,
+    /// The box of the volume.
+    pub bounds: Aabb,
     /// The frame that was cast; `None` before the first.
     pub frame: Option<Arc<ReceivedFrame>>,
     /// Older frames that fill what `frame` lacks.
@@ -58,6 +60,11 @@ impl<S: FrameSource> HeadlessViewer<S> {
         self.is_orthographic = is_orthographic;
     }
 
+    /// Requests frames of this size from now on.
+    pub fn set_frame_size(&mut self, frame_size: FrameSize) {
+        self.viewing.frame_size = frame_size;
+    }
+
     /// The source of frames.
     pub fn source(&self) -> &S {
         self.viewing.source()
@@ -82,6 +89,7 @@ impl<S: FrameSource> HeadlessViewer<S> {
         self.records.push(DisplayRecord {
             at: now,
             camera: refresh.camera,
+            bounds: refresh.bounds,
             frame: refresh.frame,
             kept: if refresh.standing == Standing::Exact { Vec::new() } else { refresh.kept },
             standing: refresh.standing,

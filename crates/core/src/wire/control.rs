@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, Profile,
-    ProfileRequest, ScreenshotRequest, Token, WantedSlices, version::older_side,
+    ProfileRequest, ScreenshotRequest, Token, ViewerEntry, WantedSlices, version::older_side, viewers,
 };
 use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
@@ -98,19 +98,6 @@ pub enum ServerMessage {
     Profile(Profile),
     /// Who is there.
     Viewers(Vec<ViewerEntry>),
-}
-
-/// A viewer of the server.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ViewerEntry {
-    /// Its number at this server.
-    pub number: u32,
-    /// Its name for itself.
-    pub name: String,
-    /// Whether it is the one that gets this message.
-    pub is_own: bool,
-    /// The viewer whose frames it gets; `None` if it gets its own.
-    pub follows: Option<u32>,
 }
 
 /// Another volume replaces the one that was shown.
@@ -313,10 +300,7 @@ impl Message for ServerMessage {
             Self::ScreenshotFailed { why, .. } => check_text("reason", why, MAX_NOTICE_BYTES),
             Self::Probed(probed) => probed.validate(),
             Self::Profile(profile) => profile.validate(),
-            Self::Viewers(list) if list.len() > MAX_VIEWERS => Err(ControlError::Value("number of viewers")),
-            Self::Viewers(list) => {
-                list.iter().try_for_each(|viewer| check_text("name", &viewer.name, MAX_NAME_BYTES))
-            }
+            Self::Viewers(list) => viewers::validate(list),
             Self::Refused(_) | Self::Stats(_) => Ok(()),
         }
     }
@@ -457,8 +441,6 @@ pub(super) fn check_text(what: &'static str, s: &str, max_bytes: usize) -> Resul
 pub const MAX_BINS: usize = 4096;
 /// Longest message that is sent as it is, bytes.
 const PACKED_ABOVE_BYTES: usize = 1024;
-/// Most viewers in a list.
-pub const MAX_VIEWERS: usize = 128;
 /// Longest notice, bytes.
 pub(super) const MAX_NOTICE_BYTES: usize = 2000;
 

@@ -22,6 +22,7 @@ mod token;
 #[cfg(test)]
 mod vectors;
 mod version;
+mod viewers;
 
 pub use control::{
     ClientMessage, ClientStats, ControlError, MAX_VIEWERS, Refusal, ServerMessage, ServerStats, ViewerEntry,
@@ -35,6 +36,7 @@ pub use selection::{Choices, LoadState, LoadStatus, Part};
 pub use slice::{SliceRequest, WantedSlices};
 pub use token::{Token, TokenError};
 pub use version::{ALPN, ALPN_ANY, PROTOCOL_VERSION, version_in_notice, version_notice};
+pub use viewers::{MAX_VIEWERS, ViewerEntry};
 
 /// Length of the longest control message.
 pub const MAX_CONTROL_BYTES: usize = 64 * 1024;

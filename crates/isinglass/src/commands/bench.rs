@@ -161,8 +161,8 @@ struct LatencyArgs {
     /// Whether frames are requested for the predicted pose, between commas: on, off
     #[arg(long, value_enum, value_name = "SWITCH", value_delimiter = ',', default_values_t = [Switch::On])]
     prediction: Vec<Switch>,
-    /// Round-trip times, between commas
-    #[arg(long, alias = "rtts", value_name = "TIME", value_parser = parse_duration, value_delimiter = ',', default_value = "0ms,100ms,300ms")]
+    /// Round-trip times, between commas [default: the link's, or 0ms,100ms,300ms]
+    #[arg(long, alias = "rtts", value_name = "TIME", value_parser = parse_duration, value_delimiter = ',')]
     rtt: Vec<Duration>,
     /// Speeds of the camera, degrees a second, between commas
     #[arg(long, value_name = "DEG", default_value = "30", value_parser = parse_speed, value_delimiter = ',')]
@@ -228,6 +228,12 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
         speeds.truncate(1);
     }
     let (mode, isos) = common.look.mode()?;
+    let link = args.link.model(None, Duration::ZERO)?;
+    let rtts = match distinct(args.rtt) {
+        given if !given.is_empty() => given,
+        _ if args.link.is_named() => vec![link.rtt],
+        _ => [0, 100, 300].map(Duration::from_millis).into(),
+    };
     let report = latency::run(&latency::LatencyOptions {
         scenes: common.select()?,
         contenders: distinct(args.prediction)
@@ -235,7 +241,7 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             .map(|switch| Contender { rival: None, never_predicts: switch == Switch::Off })
             .collect(),
         degrees_per_second: speeds,
-        rtts: distinct(args.rtt),
+        rtts,
         out: args.out,
         demo: DemoOptions {
             transfer: common.look.tf.clone(),
@@ -249,7 +255,7 @@ fn run_latency(args: LatencyArgs) -> Result<()> {
             foresight: args.foresight.foresight(),
             intrinsics: common.intrinsics(),
             backend: args.backend.backend,
-            link: args.link.model(Duration::ZERO)?,
+            link,
             plan: args.plan.plan(None),
             max_evaluated: args.compared as usize,
             ..DemoOptions::default()

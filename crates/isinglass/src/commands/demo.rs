@@ -31,9 +31,9 @@ pub(crate) struct DemoArgs {
     volume: Option<String>,
     #[command(flatten)]
     state: StateArgs,
-    /// Round-trip time between server and viewer
-    #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "200ms")]
-    rtt: Duration,
+    /// Round-trip time between server and viewer [default: the link's, or 200ms]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    rtt: Option<Duration>,
     /// Play a camera path without a window, compare what was shown with the truth, and write a report [default: only if
     /// there is no display]
     #[arg(long)]
@@ -93,7 +93,7 @@ pub(crate) struct DemoArgs {
 }
 
 pub(crate) fn run(args: DemoArgs, given: Given) -> Result<()> {
-    let link = args.link.model(args.rtt)?;
+    let link = args.link.model(args.rtt, USUAL_RTT)?;
     if args.headless || args.out.is_some() || args.json || args.path.path.is_some() {
         return headless(args, link);
     }
@@ -229,6 +229,8 @@ pub(crate) fn parse_speed(text: &str) -> Result<f32, String> {
     speed.ok_or_else(|| "expected degrees a second, -360 to 360".into())
 }
 
+/// Without a named link.
+const USUAL_RTT: Duration = Duration::from_millis(200);
 const DEFAULT_OUT: &str = "isinglass-demo";
 /// Windows at least this wide begin with the panel of the look, points.
 pub(super) const WIDTH_WITH_PANEL: u32 = 1000;

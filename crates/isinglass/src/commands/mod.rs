@@ -4,6 +4,7 @@ mod bench;
 mod compare;
 mod demo;
 mod doctor;
+mod headless;
 mod info;
 mod layers;
 mod pipeline;

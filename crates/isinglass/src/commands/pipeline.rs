@@ -24,9 +24,9 @@ pub(super) struct PipelineArgs {
     /// A volume, as for `serve`
     #[arg(value_name = "VOLUME", default_value = DEFAULT_SOURCE)]
     volume: String,
-    /// Round-trip time between server and viewer
-    #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "20ms")]
-    rtt: Duration,
+    /// Round-trip time between server and viewer [default: the link's, or 20ms]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    rtt: Option<Duration>,
     /// Duration of the measurement, seconds
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
@@ -98,7 +98,7 @@ pub(super) fn run(args: PipelineArgs) -> Result<()> {
         foresight: args.foresight.foresight(),
         intrinsics: Intrinsics::perspective(width, height, args.fov.to_radians()),
         backend: args.backend.backend,
-        link: args.link.model(args.rtt)?,
+        link: args.link.model(args.rtt, Duration::from_millis(20))?,
         plan: args.plan.plan(None),
         degrees_per_second: args.speed,
         refresh_hz: args.refresh,

@@ -1,6 +1,6 @@
 //! `view`: the viewer for a server's link, for a volume of this or another machine, or with a page to choose one.
 
-use std::io::{self, BufRead};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
@@ -11,6 +11,7 @@ use isinglass_bench::progress::note;
 use isinglass_client::{
     CameraPath, First, RemoteServer, Waker, WindowOptions, display_available, run_window_with_start,
 };
+use isinglass_core::camera::Intrinsics;
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{
     LoadRequest, Remembered, SavedState, Selection, load_transfer, state_from_link, write_whole,
@@ -18,9 +19,10 @@ use isinglass_formats::{
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, Tunnel, state_of_link};
 
 use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
+use super::headless::{self, HeadlessArgs, read_links};
 use crate::args::{
     BackendArgs, ForesightArgs, ListArgs, LookArgs, PartArgs, RawArgs, VolumeArgs, parse_fov, parse_output,
-    parse_size,
+    parse_size, usage_error,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -60,6 +62,8 @@ pub(crate) struct ViewerArgs {
     record: Option<PathBuf>,
     #[command(flatten)]
     lists: ListArgs,
+    #[command(flatten)]
+    headless: HeadlessArgs,
     // These come last because clap would list later arguments under their headings.
     #[command(flatten)]
     look: LookArgs,
@@ -92,8 +96,19 @@ enum Target {
 /// An absent or refusing server is an error before any window opens. Later failures, and those of choices in the
 /// window, appear there.
 pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
+    args.headless.check()?;
+    let num_copies = args.headless.num_copies();
+    if num_copies > 1 && !matches!(args.target, Some(Target::Input)) {
+        return Err(usage_error(
+            "each link lets in one viewer, expected - and a link for each on standard input",
+        ));
+    }
+    let mut links = Vec::new();
     let target = match args.target {
-        Some(Target::Input) => Some(Target::Server(read_link(io::stdin().lock())?)),
+        Some(Target::Input) => {
+            links = read_links(io::stdin().lock(), num_copies)?;
+            links.first().cloned().map(Target::Server)
+        }
         target => target,
     };
     let of_link = match &target {
@@ -122,6 +137,32 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             bail!("--channel, --tf, --dims and the like belong to a volume, found none");
         }
         _ => {}
+    }
+    if args.headless.is_on() {
+        let (link, tunnel) = match target {
+            Some(Target::Server(link)) => (link, None),
+            Some(Target::Remote(volume, _)) => {
+                let order = remote::order(seen.given(), args.look.tf.as_deref())?;
+                let RemoteServer { link, tunnel } = args.remote.start(&volume, order)?;
+                (link, Some(tunnel))
+            }
+            _ => bail!(
+                "found no server's link, expected one; `demo --headless` plays a volume of this machine"
+            ),
+        };
+        if links.is_empty() {
+            links.push(link);
+        }
+        let [width, height] = args.size;
+        let view = headless::View {
+            orbit: args.orbit,
+            intrinsics: Intrinsics::perspective(width, height, args.fov.to_radians()),
+            is_orthographic: args.orthographic,
+            foresight: args.foresight.foresight(),
+            refresh_hz: args.window.refresh,
+            backend: args.backend.backend,
+        };
+        return args.headless.run(&links, tunnel, view);
     }
     args.look.mode()?;
     if !matches!(target, Some(Target::Remote(..))) {
@@ -170,7 +211,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     };
     let request = match target {
         Some(Target::Server(link)) => {
-            let (client, waker) = connect(&link, tunnel)?;
+            let (client, waker) = connect_waking(&link, tunnel)?;
             let clock = client.clock().clone();
             let services = local::services(args.backend.backend, limit, foreign_files, None, args.remote);
             run_window_with_start(window, clock, services, move |wake| {
@@ -227,7 +268,7 @@ fn write_path(file: Option<&Path>, recorder: Option<&Mutex<CameraPath>>) -> Resu
 }
 
 /// An admitted client, and the slot for its window's waker.
-fn connect(link: &Link, tunnel: Option<Tunnel>) -> Result<(Client, Arc<OnceLock<Waker>>)> {
+fn connect_waking(link: &Link, tunnel: Option<Tunnel>) -> Result<(Client, Arc<OnceLock<Waker>>)> {
     let waker = Arc::new(OnceLock::<Waker>::new());
     let wakes = waker.clone();
     let wake = Arc::new(move || {
@@ -235,18 +276,17 @@ fn connect(link: &Link, tunnel: Option<Tunnel>) -> Result<(Client, Arc<OnceLock<
             wake();
         }
     });
-    let client = Client::connect(link, ClientOptions { wake, tunnel, ..ClientOptions::default() })?;
+    Ok((connect(link, ClientOptions { wake, tunnel, ..ClientOptions::default() })?, waker))
+}
+
+/// An admitted client.
+pub(super) fn connect(link: &Link, options: ClientOptions) -> Result<Client> {
+    let client = Client::connect(link, options)?;
     if let Err(problem) = client.wait_connected(CONNECT_TIMEOUT) {
         let details = problem.details().map_or_else(String::new, |details| format!(" ({details})"));
         bail!("{}: {problem}{details}", link.place());
     }
-    Ok((client, waker))
-}
-
-fn read_link(text: impl BufRead) -> Result<Link> {
-    let mut line = String::new();
-    text.take(LONGEST_LINK).read_line(&mut line).context("standard input")?;
-    line.trim().parse().context("standard input")
+    Ok(client)
 }
 
 /// Anything that is no volume is read as a link, with its errors.
@@ -277,7 +317,5 @@ fn view_of_file(link: &str) -> Option<String> {
     (volume.source.is_some() && volume.link().is_none()).then_some(state)
 }
 
-/// Most bytes that are read from standard input; a state inside has a limit of its own.
-const LONGEST_LINK: u64 = 1 << 20;
 /// Longer than QUIC itself tries on a slow link.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(15);

@@ -1,7 +1,7 @@
 //! `--copy`: puts this program on another machine that is alike.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader};
+use std::io::{self, BufRead, BufReader, Read};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
@@ -34,7 +34,7 @@ pub(super) fn copy(ssh: &Ssh, machine: &str, system: &str) -> Result<()> {
     };
     let mut said = String::new();
     if let Some(stdout) = child.stdout.take() {
-        let lines = BufReader::new(stdout).lines().map_while(Result::ok).take(MOST_LINES);
+        let lines = BufReader::new(stdout.take(MOST_BYTES)).lines().map_while(Result::ok);
         said = lines.filter(|line| line.starts_with(DONE)).last().unwrap_or_default();
     }
     let status = child.wait().context("ssh")?;
@@ -73,10 +73,11 @@ fn line(bytes: u64) -> String {
 
 /// The first word of the line that says the copy is in place.
 const DONE: &str = "isinglass-copied";
-/// Most lines of a login shell that are read before it.
-const MOST_LINES: usize = 1000;
+/// Most bytes that are read up to it; what a login shell prints comes before.
+const MOST_BYTES: u64 = 1 << 20;
 
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests {
     use std::io::Write;
 

@@ -120,7 +120,8 @@ const PATHS: &str = "PATH=\"$HOME/.local/bin:$PATH:$HOME/.cargo/bin\"; export PA
 /// The first word of the line that tells about the machine.
 const GREETING: &str = "isinglass-there";
 
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests {
     use std::io::Write;
     use std::os::unix::fs::PermissionsExt;

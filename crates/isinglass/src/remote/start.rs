@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, ExitStatus, Stdio};
-use std::sync::mpsc;
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread;
 use std::time::Duration;
 
@@ -49,7 +49,7 @@ pub(super) fn start(ssh: &Ssh, order: &Order, machine: &str, told: &Told) -> Res
         return Ok(Outcome::Serves(greeting.clone(), link));
     }
     let status = child.wait().context("ssh")?;
-    let (complaint, last) = complaints.end();
+    let Heard { complaint, last } = complaints.end();
     match greeting {
         Some(greeting) if status.success() && complaint.is_none() => Ok(Outcome::Unfit(greeting)),
         Some(_) => match complaint {
@@ -102,53 +102,65 @@ fn shown(last: Option<String>, told: &Told) -> String {
 }
 
 /// What ssh and the server there write to standard error.
-pub(super) struct Complaints(mpsc::Receiver<(Option<String>, Option<String>)>);
+pub(super) struct Complaints {
+    heard: Arc<Mutex<Heard>>,
+    /// Disconnected at the end.
+    ended: mpsc::Receiver<()>,
+}
+
+#[derive(Default)]
+pub(super) struct Heard {
+    /// The server's own error.
+    complaint: Option<String>,
+    /// The last line of others.
+    last: Option<String>,
+}
 
 impl Complaints {
     /// Passes on what comes, but for the server's own error.
     pub(super) fn listen(child: &mut Child, told: &Told) -> Self {
-        let (sender, receiver) = mpsc::channel();
-        let (told, stderr) = (*told, child.stderr.take());
+        let (at_end, ended) = mpsc::sync_channel(0);
+        let heard = Arc::<Mutex<Heard>>::default();
+        let (told, stderr, hears) = (*told, child.stderr.take(), heard.clone());
         thread::spawn(move || {
-            let (mut complaint, mut last) = (None, None);
-            for line in stderr.into_iter().flat_map(|stderr| BufReader::new(stderr).split(b'\n')) {
+            let _at_end: mpsc::SyncSender<()> = at_end;
+            for line in
+                stderr.into_iter().flat_map(|stderr| BufReader::new(stderr.take(MOST_BYTES)).split(b'\n'))
+            {
                 let Ok(line) = line else { break };
-                // A server there that one does not trust yet must not rewrite the terminal.
+                // A machine that one does not trust yet must not rewrite the terminal.
                 let line = printable(&String::from_utf8_lossy(&line), LONGEST_LINE);
                 let line = line.trim();
+                let mut heard = hears.lock().unwrap_or_else(PoisonError::into_inner);
                 match line.strip_prefix("isinglass: ") {
-                    Some(of_server) => complaint = Some(of_server.to_owned()),
+                    Some(of_server) => heard.complaint = Some(of_server.to_owned()),
                     None if line.is_empty() => {}
                     None => {
                         told.line(line);
-                        last = Some(line.to_owned());
+                        heard.last = Some(line.to_owned());
                     }
                 }
-                let _ = sender.send((complaint.clone(), last.clone()));
             }
         });
-        Self(receiver)
+        Self { heard, ended }
     }
 
-    /// The server's error and the last line of others. A process that goes on in the background may hold standard
-    /// error open, so the end is not waited for.
-    pub(super) fn end(self) -> (Option<String>, Option<String>) {
-        let mut newest = (None, None);
-        while let Ok(next) = self.0.recv_timeout(PATIENCE) {
-            newest = next;
-        }
-        newest
+    /// What was heard. A process that goes on in the background may hold standard error open, so the end is not waited
+    /// for long.
+    pub(super) fn end(self) -> Heard {
+        let _ = self.ended.recv_timeout(PATIENCE);
+        std::mem::take(&mut *self.heard.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
 /// The exit status by which ssh tells of its own failure.
 const OF_SSH: i32 = 255;
-/// Most bytes of output up to the link; what a login shell prints comes before.
+/// Most bytes of output up to the link, and of complaints. What a login shell prints comes before.
 const MOST_BYTES: u64 = 1 << 20;
 /// Longest line that is shown, in characters.
 const LONGEST_LINE: usize = 500;
 /// Time for the last lines of an ended process to arrive.
-const PATIENCE: Duration = Duration::from_millis(300);
+const PATIENCE: Duration = Duration::from_secs(1);
 
 #[cfg(test)]
 mod tests {

@@ -1,7 +1,10 @@
 //! Whole sessions in virtual time: this crate's server and client over real QUIC, with a simulated network and a
 //! model of a renderer. The clock is tokio's, paused: it jumps to the next event. The same seed gives the same run.
 
+mod bad_links;
+mod crowd;
 mod laws;
+mod long_use;
 mod model;
 mod network;
 
@@ -62,11 +65,17 @@ impl World {
 
     /// Makes links for viewers, and then serves them.
     fn serve(&mut self, num_viewers: usize, renderer: Renderer) -> Vec<Link> {
+        self.serve_each(vec![renderer; num_viewers])
+    }
+
+    /// The same with a renderer for each viewer, in the order of their arrival.
+    fn serve_each(&mut self, renderers: Vec<Renderer>) -> Vec<Link> {
         let mut server = self.server.take().expect("served once");
-        let mint = |_| server.mint_link("10.0.0.1").expect("a place");
-        let links = (0..num_viewers).map(mint).collect();
+        let mint = |_: &Renderer| server.mint_link("10.0.0.1").expect("a place");
+        let links = renderers.iter().map(mint).collect();
         tokio::spawn(async move {
-            while let Some(session) = server.accept().await {
+            let mut renderers = renderers.into_iter().cycle();
+            while let Some((session, renderer)) = server.accept().await.zip(renderers.next()) {
                 tokio::spawn(model::serve(session, renderer));
             }
         });

@@ -107,6 +107,16 @@ impl Network {
         self.lock().traffic.clone()
     }
 
+    /// The same, and begins to count anew.
+    pub(super) fn take_traffic(&self) -> Traffic {
+        std::mem::take(&mut self.lock().traffic)
+    }
+
+    /// Number of packets on their way.
+    pub(super) fn num_in_flight(&self) -> usize {
+        self.lock().inboxes.iter().map(|(_, inbox)| inbox.waiting.len()).sum()
+    }
+
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -155,6 +165,14 @@ pub(super) struct SimulatedSocket {
     network: Network,
     number: usize,
     timer: Mutex<Option<Pin<Box<Sleep>>>>,
+}
+
+impl SimulatedSocket {
+    /// Sends bytes that no endpoint made.
+    pub(super) fn send_raw(&self, destination: SocketAddr, contents: &[u8]) {
+        let transmit = Transmit { destination, ecn: None, contents, segment_size: None, src_ip: None };
+        self.network.lock().send(self.number, &transmit);
+    }
 }
 
 impl AsyncUdpSocket for SimulatedSocket {
