@@ -114,7 +114,7 @@ fn every_edit_is_on_the_screen_and_exact_in_the_end() {
     assert!(seen.iter().filter(|of_edit| !of_edit.is_empty()).count() > 10, "the editor starves");
 }
 
-/// The table of docs/BENCHMARKS.md: how soon an edit is seen without a GPU.
+/// How soon an edit is seen without a GPU, in numbers.
 #[test]
 #[ignore = "measures times"]
 fn edits_table() {
