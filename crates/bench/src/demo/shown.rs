@@ -190,7 +190,7 @@ pub(super) mod tests {
             ticks(&(1..20).map(|i| if (8..13).contains(&i) { 8 } else { i }).collect::<Vec<_>>(), 0);
         let shown = |ticks: &[Tick]| ShownFrames::of(&script(), ticks, Duration::ZERO);
         assert_eq!(shown(&stuck).freezes, 1);
-        assert!((shown(&stuck).longest_gap_ms - 600.0).abs() < 1e-6, "{:?}", shown(&stuck));
+        assert!((shown(&stuck).longest_gap_ms - 500.0).abs() < 1e-6, "{:?}", shown(&stuck));
         for tick in &mut stuck[8..13] {
             (tick.frame_age, tick.input) = (Some(Duration::ZERO), tick.camera.pose);
         }

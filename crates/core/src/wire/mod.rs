@@ -25,8 +25,8 @@ mod version;
 mod viewers;
 
 pub use control::{
-    ClientMessage, ClientStats, ControlError, MAX_VIEWERS, Refusal, ServerMessage, ServerStats, ViewerEntry,
-    VolumeChange, VolumeDescription, Welcome,
+    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange,
+    VolumeDescription, Welcome,
 };
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
