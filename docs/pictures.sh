@@ -77,8 +77,9 @@ close() {
 is_refining() {
     local color
     for color in 'rgb(110,175,245)' 'rgb(18,88,176)'; do
-        [ "$(import -window root -crop 242x40+10+45 +repage -fill black +opaque "$color" -format '%k' info:)" -eq 1 ] ||
-            return 0
+        import -window root -crop 242x40+10+45 rgb:- |
+            convert -size 242x40 -depth 16 rgb:- -depth 8 -fill black +opaque "$color" -format '%k' info: |
+            grep -qx 1 || return 0
     done
     return 1
 }
