@@ -73,6 +73,17 @@ close() {
     jobs_to_end=()
 }
 
+# Whether the badge has the colour of a picture that becomes better, in the dark or the light theme.
+is_refining() {
+    local color
+    for color in 'rgb(110,175,245)' 'rgb(18,88,176)'; do
+        import -window root -crop 242x40+10+45 rgb:- |
+            convert -size 242x40 -depth 16 rgb:- -depth 8 -fill black +opaque "$color" -format '%k' info: |
+            grep -qx 1 || return 0
+    done
+    return 1
+}
+
 # Waits until the window has not changed for ten seconds, and is not black. The status line may tell another round trip.
 settle() {
     local before="" now same=0
@@ -82,7 +93,7 @@ settle() {
         now=$(import -window root -gravity southeast -crop 80x70%+0+28 rgb:- | md5sum)
         if [ "$now" = "$before" ]; then same=$((same + 1)); else same=0; fi
         before=$now
-        if [ $same -ge 5 ] && [ "$(import -window root -format '%k' info:)" -gt 64 ]; then return; fi
+        if [ $same -ge 5 ] && [ "$(import -window root -format '%k' info:)" -gt 64 ] && ! is_refining; then return; fi
     done
     echo "the picture never came to rest" >&2
     exit 1

@@ -114,7 +114,7 @@ fn every_edit_is_on_the_screen_and_exact_in_the_end() {
     assert!(seen.iter().filter(|of_edit| !of_edit.is_empty()).count() > 10, "the editor starves");
 }
 
-/// The table of docs/BENCHMARKS.md: how soon an edit is seen without a GPU.
+/// How soon an edit is seen without a GPU, in numbers.
 #[test]
 #[ignore = "measures times"]
 fn edits_table() {
@@ -129,7 +129,8 @@ fn edits_table() {
             let seen = play((volume, look), picture, &edits, None);
             let mut first: Vec<_> = seen.iter().map(|of_edit| of_edit[0].after).collect();
             let mut exact: Vec<_> = seen.iter().map(|of_edit| of_edit.last().unwrap().after).collect();
-            (first.sort(), exact.sort());
+            first.sort();
+            exact.sort();
             let side = (seen[0][0].num_lists as f64).sqrt();
             println!(
                 "{name}, ambient occlusion {ambient_occlusion}: first changed picture {:.0?} to {:.0?}, about {side:.0} lists \

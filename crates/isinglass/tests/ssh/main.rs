@@ -46,15 +46,15 @@ fn one_command_shows_a_volume_of_another_machine() {
     let mut sshd = Sshd::start(&bench, true);
     std::fs::create_dir_all(bench.path("home/isinglass")).unwrap();
     bench.write("home/isinglass/viewer.toml", format!("[remote]\nssh = '{}'\n", sshd.ssh()));
-    for (place, carrier) in [
-        ("there:builtin:shells@32", "udp"),
-        ("behind:builtin:shells@32", "tunnel"),
-        ("ssh://jumped/builtin:shells@32", "udp"),
+    for (place, way) in [
+        ("there:builtin:shells@32", "directly"),
+        ("behind:builtin:shells@32", "through ssh alone"),
+        ("ssh://jumped/builtin:shells@32", "started through a jump host"),
     ] {
         let begin = Instant::now();
         let mut viewer = Viewer::start(&bench, &format!("view {place} --backend cpu --shading off"));
         viewer.wait("picture", |seen| seen.iter().any(|refresh| refresh.frame.is_some()).then_some(()));
-        println!("{place} is shown over {carrier} after {:?}", begin.elapsed());
+        println!("{place} is shown {way} after {:?}", begin.elapsed());
         if place.starts_with("ssh://") {
             // The server does not need the connection by which it was started.
             sshd.end();
