@@ -31,6 +31,9 @@ fn sources(folder: &Path) -> Vec<Source> {
                 folders.push(path);
                 continue;
             }
+            if path.extension().is_none_or(|extension| extension != "rs") {
+                continue;
+            }
             let relative = path.strip_prefix(folder).expect("it is below").with_extension("");
             let mut module: Vec<String> =
                 relative.iter().map(|part| part.to_string_lossy().into_owned()).collect();

@@ -79,7 +79,7 @@ fn bad_usage_is_code_2() {
         ("info a.raw --region 5:5,:,:", &["5:5 is empty"]),
         ("demo --rtt fast", &["fast", "200ms"]),
         ("demo --rtt -5ms", &["-5"]),
-        ("view nothing", &["no file 'nothing'", "isinglass://"]),
+        ("view nothing", &["no file 'nothing'", "a link", "host:/path"]),
         ("render builtin:cubus@16 -o a.jpg", &[".png", ".jpg"]),
         ("reproject a.iglf -o a.TIFF", &[".png", ".tiff"]),
         ("view isinglass://localhost:4433", &["token"]),

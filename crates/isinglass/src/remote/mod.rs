@@ -206,7 +206,7 @@ mod tests {
             flags.filter_map(flag).collect()
         };
         let (view, serve) = (of("view"), of("serve"));
-        let own = ["state", "config", "print_config"];
+        let own = ["state", "config", "print_config", "json"];
         let both: BTreeSet<_> =
             view.intersection(&serve).filter(|(id, _)| !own.contains(&id.as_str())).collect();
         assert_eq!(

@@ -19,20 +19,20 @@ pub(super) struct Streams(Mutex<HashMap<SocketAddr, Arc<Outgoing>>>);
 /// Packets that wait to be written to a stream, each behind its length.
 #[derive(Debug, Default)]
 struct Outgoing {
-    waiting: Mutex<Waiting>,
+    waiting: Mutex<Unwritten>,
     changed: Notify,
     admitted: Notify,
 }
 
 #[derive(Debug, Default)]
-struct Waiting {
+struct Unwritten {
     bytes: BytesMut,
     is_closed: bool,
     has_connection: bool,
 }
 
 impl Outgoing {
-    fn waiting(&self) -> MutexGuard<'_, Waiting> {
+    fn waiting(&self) -> MutexGuard<'_, Unwritten> {
         // Every change is one step, so a panic leaves it in order.
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
