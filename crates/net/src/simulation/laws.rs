@@ -88,7 +88,7 @@ fn row(mbit: f64, rtt_ms: u64, loss: f64) {
 #[test]
 fn frames_are_as_old_as_the_link_makes_them() {
     for (mbit, rtt_ms, loss) in
-        [(5.0, 20, 0.0), (20.0, 40, 0.0), (20.0, 40, 0.01), (50.0, 150, 0.02), (100.0, 300, 0.0)]
+        [(5.0, 20, 0.0), (20.0, 40, 0.0), (20.0, 150, 0.01), (50.0, 150, 0.02), (100.0, 300, 0.01)]
     {
         let run = Run::of(link_model(mbit, rtt_ms, loss), None);
         assert!(run.age_ms[1] <= run.bound_ms, "{mbit} Mbit/s, {rtt_ms} ms, {loss}: {run:?}");
