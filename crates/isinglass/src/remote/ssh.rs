@@ -14,7 +14,7 @@ pub(crate) struct Ssh {
     destination: String,
     port: Option<u16>,
     /// What ssh's configuration says about the machine.
-    known: Known,
+    known: SshConfig,
     /// The folder of the socket by which later commands use the first one's connection.
     shared: Option<TempDir>,
     /// Whether ssh may ask at a terminal.
@@ -23,7 +23,7 @@ pub(crate) struct Ssh {
 
 /// What `ssh -G` says.
 #[derive(Debug, Default, PartialEq)]
-struct Known {
+struct SshConfig {
     /// Name or address of the machine.
     host: Option<String>,
     /// Whether connections are shared already.
@@ -41,7 +41,7 @@ impl Ssh {
             program,
             destination: volume.destination(),
             port: volume.port,
-            known: Known::default(),
+            known: SshConfig::default(),
             shared: None,
             may_ask,
         };
@@ -53,7 +53,7 @@ impl Ssh {
             asked.with_context(|| format!("cannot run {name}; install OpenSSH, or name it with --ssh"))?;
         // Another program than OpenSSH may not know the question.
         if answer.status.success() {
-            ssh.known = Known::of(&String::from_utf8_lossy(&answer.stdout));
+            ssh.known = SshConfig::of(&String::from_utf8_lossy(&answer.stdout));
             if cfg!(unix) && !ssh.known.is_shared {
                 ssh.shared = folder_for_socket();
             }
@@ -138,7 +138,7 @@ impl Drop for Ssh {
     }
 }
 
-impl Known {
+impl SshConfig {
     fn of(answer: &str) -> Self {
         let value = |key: &str| {
             let line = answer.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(' '));
@@ -180,10 +180,13 @@ mod tests {
     fn the_configuration_is_read() {
         let answer = "host gpu\nhostname gpu.example.org\nport 22\nconnecttimeout none\ncontrolpath none\n";
         let host = Some("gpu.example.org".to_owned());
-        assert_eq!(Known::of(answer), Known { host: host.clone(), is_shared: false, has_timeout: false });
+        assert_eq!(
+            SshConfig::of(answer),
+            SshConfig { host: host.clone(), is_shared: false, has_timeout: false }
+        );
         let answer = answer.replace("none", "7") + "controlmaster auto\n";
-        assert_eq!(Known::of(&answer), Known { host, is_shared: true, has_timeout: true });
-        assert_eq!(Known::of("no such option\n"), Known::default());
+        assert_eq!(SshConfig::of(&answer), SshConfig { host, is_shared: true, has_timeout: true });
+        assert_eq!(SshConfig::of("no such option\n"), SshConfig::default());
     }
 
     #[test]
@@ -192,7 +195,7 @@ mod tests {
             program: vec!["ssh".into(), "-F".into(), "a b".into()],
             destination: "me@gpu".into(),
             port: Some(2222),
-            known: Known::default(),
+            known: SshConfig::default(),
             shared,
             may_ask,
         };
