@@ -3,8 +3,8 @@
 #
 #   docs/pictures.sh VOLUMES [ISINGLASS] [NAME…]
 #
-# VOLUMES is a folder with avm.nrrd, bonsai.nrrd, heptane.nrrd, mouse_brain.nrrd, and tooth.nhdr with tooth.raw. `tour`
-# also takes engine.nrrd and t1_head.nrrd, and leaves out what is not there.
+# VOLUMES is a folder with avm.nrrd, bonsai.nrrd, heptane.nrrd and mouse_brain.nrrd. `tour` also takes engine.nrrd and
+# t1_head.nrrd, and leaves out what is not there.
 # docs/BENCHMARKS.md and docs/GUIDE.md name their origins. ISINGLASS is the program; without it a release build is made.
 # NAMEs, such as viewer or guide-mip, select pictures. `tour` alone makes pictures to look at and not to keep, in
 # target/tour: each kind of page, size and theme. The script needs Xvfb, xdotool, xwd and ImageMagick.
@@ -29,7 +29,7 @@ export HOME=$home XDG_RUNTIME_DIR=$home XDG_STATE_HOME=$home/state XDG_CONFIG_HO
 mkfifo "$home/display"
 exec 3<>"$home/display"
 mkdir "$home/scans"
-wanted=(avm.nrrd bonsai.nrrd heptane.nrrd mouse_brain.nrrd tooth.nhdr tooth.raw)
+wanted=(avm.nrrd bonsai.nrrd heptane.nrrd mouse_brain.nrrd)
 [ "$chosen" != " tour " ] || wanted+=(engine.nrrd t1_head.nrrd)
 for name in "${wanted[@]}"; do
     found=$(find "$volumes" -name "$name" | head -n 1)
@@ -195,7 +195,7 @@ moving viewer demo "${bonsai[@]}" --rtt 200ms --bars off --size 640x420
 picture guide-start "" view
 picture guide-editor "" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
 picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2
-picture guide-iso "" demo tooth.nhdr --rtt 50ms --mode iso --iso 600:0.4,1000 --orbit 30,-50,2.8
+picture guide-iso "" demo "${bonsai[@]}" --rtt 50ms --mode iso --iso 40:0.3,120 --size 1100x760
 picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7
 picture guide-clip c demo mouse_brain.nrrd --rtt 50ms --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20
 picture guide-measure "x d 217,718 500,230 600,290" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
