@@ -1,6 +1,6 @@
 //! Who else looks at this volume, and whom to follow.
 
-use egui::{Role, Ui};
+use egui::{RichText, Role, Ui, vec2};
 use isinglass_core::wire::ViewerEntry;
 use lucide_icons::Icon;
 
@@ -21,7 +21,10 @@ pub(crate) fn show(
         None => format!("{} people", list.len()),
     };
     let mut chosen = None;
-    let shown = ui.menu_button((icon(Icon::Users), text.as_str()), |ui| {
+    // It is as low as the line that it stands in.
+    ui.spacing_mut().interact_size.y = 0.0;
+    ui.spacing_mut().button_padding = vec2(5.0, 1.0);
+    let shown = ui.menu_button((icon(Icon::Users).size(SIZE), RichText::new(&text).size(SIZE)), |ui| {
         if ui.radio(following.is_none(), "On my own").clicked() && following.is_some() {
             chosen = Some(None);
         }
@@ -46,6 +49,9 @@ fn name_of(viewer: &ViewerEntry, list: &[ViewerEntry]) -> String {
         false => viewer.name.clone(),
     }
 }
+
+/// Size of the text, points.
+const SIZE: f32 = 12.0;
 
 #[cfg(test)]
 mod tests {
