@@ -120,7 +120,8 @@ impl<S: FrameSource> ViewerApp<S> {
         let center = controls.center();
         let is_orthographic = intrinsics.projection.is_orthographic();
         let from = Viewpoint::of(controls, self.is_orthographic);
-        let (world_from_view, eye_from_center) = (pose.world_from_view, pose.eye - center);
+        let world_from_view = pose.world_from_view;
+        let eye_from_center = world_from_view.inverse() * (pose.eye - center);
         let to = Viewpoint { center, world_from_view, eye_from_center, is_orthographic };
         if to.place(&mut controls.clone()) {
             self.is_orthographic = is_orthographic;
