@@ -1,5 +1,6 @@
-//! Carries the sessions of `isinglass-core` over QUIC, on UDP or where that does not come through on TCP: certificates and links, a server, a client that never blocks a
-//! display loop, and a link conditioner that adds delay, loss and a rate limit to real endpoints.
+//! Carries the sessions of `isinglass-core` over QUIC, on UDP, or on TCP where UDP does not come through. It has
+//! certificates and links, a server, and a client that never blocks a display loop. A link conditioner adds delay, loss
+//! and a rate limit to real endpoints.
 //!
 //! This crate holds no rule of the protocol. `isinglass_core::session` decides which chunks to send, whom to admit
 //! and what to decode. Here are sockets, streams, timers, threads and the generator of secrets.

@@ -42,9 +42,9 @@ pub(super) struct Seat {
 }
 
 impl PendingHellos {
-    /// A seat for a connection from an address. Who shows many wrong tokens gets none for a while. Without a free one, the oldest connection of the same network gives
-    /// way, or the oldest of all if the room is full. It must have had the time that a hello takes. `None` if all are
-    /// too young.
+    /// A seat for a connection from an address. Who shows many wrong tokens gets none for a while. Without a free seat,
+    /// the oldest connection of the same network gives way, or the oldest of all if the room is full. It must have had
+    /// the time that a hello takes. `None` if all are too young.
     pub(super) fn enter(self: &Arc<Self>, from: IpAddr, now: Instant) -> Option<Seat> {
         let from = place_of(from);
         let mut room = self.room();
