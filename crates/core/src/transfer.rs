@@ -31,6 +31,8 @@ pub enum Domain {
     Values(f32, f32),
     /// Two percentiles of the volume's histogram, 0 to 100.
     Percentiles(f32, f32),
+    /// From −m to m, where m is the greater magnitude of this percentile, 50 to 100, and of the one as far below 50.
+    AboutZero(f32),
 }
 
 /// The thickness of matter that a control point's opacity refers to.
@@ -85,7 +87,7 @@ pub enum TransferError {
         value: f32,
     },
     /// The domain is empty, reversed or not finite.
-    #[error("domain runs from {0} to {1}, expected ascending finite numbers")]
+    #[error("domain runs from {0} to {1}, expected ascending finite numbers and percentiles from 0 to 100")]
     Domain(f32, f32),
     /// The unit length is not a positive number.
     #[error("unit length is {0}, expected a positive number")]
@@ -118,6 +120,9 @@ impl TransferFunction {
                 if !(a < b && a.is_finite() && b.is_finite()) =>
             {
                 return Err(TransferError::Domain(a, b));
+            }
+            Domain::AboutZero(percent) if !(50.0..=100.0).contains(&percent) => {
+                return Err(TransferError::Domain(-percent, percent));
             }
             _ => {}
         }

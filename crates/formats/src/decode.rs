@@ -10,6 +10,7 @@ use half::f16;
 use isinglass_core::volume::Voxels;
 
 use crate::dtype::{Dtype, Endian};
+use crate::units::may_be_hounsfield;
 use crate::warning::{Warning, WarningKind};
 
 /// Collects voxels in the order of the file.
@@ -110,26 +111,30 @@ impl VoxelSink {
     }
 
     /// The voxels, and the map from their numbers to values. If the file `has_gaps`, voxels without a value become
-    /// the least of the others. Such voxels are not a number, infinite, or a marker such as −9999. Masks, statistical
+    /// zero or, if zero is no value of the others, the nearest one to it. Such voxels are not a number, infinite, or a marker such as −9999. Masks, statistical
     /// maps and simulations have them outside of the measured part.
     pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
         let mut warnings = Vec::new();
         if let Voxels::F32(v) = &mut self.voxels
             && has_gaps
         {
-            let (mut least, mut num_nan, mut num_infinite) = (f32::INFINITY, 0u64, 0u64);
+            let (mut least, mut greatest) = (f32::INFINITY, f32::NEG_INFINITY);
+            let (mut num_nan, mut num_infinite) = (0u64, 0u64);
             for x in v.iter() {
                 num_nan += u64::from(x.is_nan());
                 num_infinite += u64::from(x.is_infinite());
-                least = if x.is_finite() { least.min(*x) } else { least };
+                if x.is_finite() {
+                    (least, greatest) = (least.min(*x), greatest.max(*x));
+                }
             }
+            let gap = near_zero(least, greatest);
             // Without a finite number, [`isinglass_core::volume::Volume::new`] refuses the volume.
             if num_nan + num_infinite > 0 && least.is_finite() {
-                v.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = least);
+                v.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = gap);
             }
             for (count, what) in [(num_nan, "not a number"), (num_infinite, "infinite")] {
                 if count > 0 && least.is_finite() {
-                    let text = format!("{count} voxels are {what} and are shown as the least value, {least}");
+                    let text = format!("{count} voxels are {what} and are shown as {gap}");
                     warnings.push(Warning::new(WarningKind::Values, text));
                 }
             }
@@ -157,7 +162,16 @@ fn single(number: f64) -> f32 {
     if single.is_infinite() && number.is_finite() { f32::MAX.copysign(single) } else { single }
 }
 
-/// Replaces the marker for a missing value by the least other value. Returns a warning if there is a marker.
+/// The value that stands for no matter: zero in a map with signs, air in CT, else the one next to zero.
+fn near_zero(least: f32, greatest: f32) -> f32 {
+    if least <= greatest && !may_be_hounsfield(least, greatest) {
+        0.0_f32.clamp(least, greatest)
+    } else {
+        least
+    }
+}
+
+/// Replaces the marker for a missing value by [`near_zero`] of the others. Returns a warning if there is a marker.
 fn fill_gaps(v: &mut [f32]) -> Option<Warning> {
     // The two least and the two greatest different numbers.
     let none = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
@@ -170,21 +184,19 @@ fn fill_gaps(v: &mut [f32]) -> Option<Warning> {
         hi > lo && (lo - mark).max(mark - hi) > FAR * (hi - lo)
     };
     let is_mark = |x: f32| x.is_finite() && (x.abs() >= MARK_LEAST || MARKS.contains(&x));
-    let (mark, least) = if is_mark(least) && is_far(least, second, greatest) {
-        (least, second)
+    let (mark, gap) = if is_mark(least) && is_far(least, second, greatest) {
+        (least, near_zero(second, greatest))
     } else if is_mark(greatest) && is_far(greatest, least, last) {
-        (greatest, least)
+        (greatest, near_zero(least, last))
     } else {
         return None;
     };
     let mut num = 0u64;
     for x in v.iter_mut().filter(|x| **x == mark) {
-        *x = least;
+        *x = gap;
         num += 1;
     }
-    let text = format!(
-        "{num} voxels are {mark:?}, as if nothing was known there, and are shown as the least value, {least}"
-    );
+    let text = format!("{num} voxels are {mark:?}, as if nothing was known there, and are shown as {gap}");
     Some(Warning::new(WarningKind::Values, text))
 }
 
@@ -276,22 +288,28 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_becomes_the_least_value() {
+    fn what_is_not_a_number_becomes_a_value_without_matter() {
         let mut s = sink(Dtype::Float, Endian::Little);
         [3.0, f32::NAN, -2.0].iter().for_each(|x: &f32| s.push_bytes(&x.to_le_bytes()));
         let decoded = s.finish(true);
-        assert_eq!(decoded.voxels, Voxels::F32(vec![3.0, -2.0, -2.0]));
-        assert_eq!(
-            decoded.warnings[0].text,
-            "1 voxels are not a number and are shown as the least value, -2"
-        );
+        assert_eq!(decoded.voxels, Voxels::F32(vec![3.0, 0.0, -2.0]));
+        assert_eq!(decoded.warnings[0].text, "1 voxels are not a number and are shown as 0");
+        for (numbers, gap) in [
+            ([3.0, f32::NAN, 2.0], 2.0),
+            ([-3.0, f32::NAN, -2.0], -2.0),
+            ([-1024.0, f32::NAN, 900.0], -1024.0),
+        ] {
+            let mut s = sink(Dtype::Float, Endian::Little);
+            numbers.iter().for_each(|x: &f32| s.push_bytes(&x.to_le_bytes()));
+            assert_eq!(s.finish(true).voxels, Voxels::F32(vec![numbers[0], gap, numbers[2]]));
+        }
         let mut s = sink(Dtype::Float, Endian::Little);
         [f32::INFINITY, 3.0, f32::NEG_INFINITY, -2.0]
             .iter()
             .for_each(|x: &f32| s.push_bytes(&x.to_le_bytes()));
         let decoded = s.finish(true);
-        assert_eq!(decoded.voxels, Voxels::F32(vec![-2.0, 3.0, -2.0, -2.0]));
-        assert_eq!(decoded.warnings[0].text, "2 voxels are infinite and are shown as the least value, -2");
+        assert_eq!(decoded.voxels, Voxels::F32(vec![0.0, 3.0, 0.0, -2.0]));
+        assert_eq!(decoded.warnings[0].text, "2 voxels are infinite and are shown as 0");
         let mut s = sink(Dtype::Float, Endian::Little);
         s.push_bytes(&f32::INFINITY.to_le_bytes());
         assert_eq!(

@@ -124,6 +124,8 @@ struct NiftiHeader {
     vox_offset: f64,
     slope: f64,
     intercept: f64,
+    /// The values that are shown black and white.
+    window: (f64, f64),
     units: i32,
     qform_code: i32,
     sform_code: i32,
@@ -142,6 +144,7 @@ impl NiftiHeader {
             vox_offset: f(108),
             slope: f(112),
             intercept: f(116),
+            window: (f(128), f(124)),
             units: i32::from(w.array::<1>(123)[0]),
             qform_code: w.i16(252).into(),
             sform_code: w.i16(254).into(),
@@ -159,6 +162,7 @@ impl NiftiHeader {
             vox_offset: w.i64(168) as f64,
             slope: w.f64(176),
             intercept: w.f64(184),
+            window: (w.f64(200), w.f64(192)),
             units: w.i32(500),
             qform_code: w.i32(344),
             sform_code: w.i32(348),
@@ -203,6 +207,7 @@ impl NiftiHeader {
                 "scl_slope or scl_inter is not a number; values are taken as they are",
             );
         }
+        plan.windows = vec![Some(self.window)];
         plan.geometry = self.geometry(&mut plan);
         Ok(plan)
     }

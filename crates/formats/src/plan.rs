@@ -67,6 +67,8 @@ pub(crate) struct Plan {
     pub(crate) modality: Option<String>,
     /// Unit of the values, from [`crate::units::value_unit`].
     pub(crate) value_unit: Option<String>,
+    /// The values between which the file shows each channel, if it says so.
+    pub(crate) windows: Vec<Option<(f64, f64)>>,
     /// The warning if neither the file nor the options have a spacing.
     pub(crate) spacing_guess: Option<String>,
     /// Whether a float that is not a number is a voxel without a value. In a raw file, it hints at a wrong type
@@ -101,6 +103,7 @@ impl Plan {
             usual_series: 0,
             modality: None,
             value_unit: None,
+            windows: Vec::new(),
             spacing_guess: None,
             has_gaps: true,
             warnings: Vec::new(),
@@ -287,6 +290,7 @@ pub(crate) fn read_volume(
         placement: chosen.grid.placement,
         modality: plan.modality.clone(),
         value_unit: plan.value_unit.clone(),
+        window: plan.windows.get(chosen.channel as usize).copied().flatten().and_then(window),
         warnings: warnings.into_iter().map(|w| w.text).collect(),
     };
     let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));
@@ -294,6 +298,12 @@ pub(crate) fn read_volume(
     let grid = &chosen.grid;
     Volume::new(grid.dims(), grid.spacing, grid.reorder(decoded.voxels), value_map, info)
         .map_err(|cause| FormatError::Volume { path: shown(path), cause })
+}
+
+/// A window with finite ends in order; files without one often have zeros.
+fn window((from, to): (f64, f64)) -> Option<(f32, f32)> {
+    let (from, to) = (from as f32, to as f32);
+    (from < to && from.is_finite() && to.is_finite()).then_some((from, to))
 }
 
 /// The names of the channels of an RGB or RGBA voxel with `num_channels` numbers.

@@ -5,6 +5,7 @@ use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
 
 use crate::transfer::transfer_from_toml;
+use crate::units::may_be_hounsfield;
 
 /// The preset with this name.
 pub fn preset(name: &str) -> Option<TransferFunction> {
@@ -18,19 +19,21 @@ pub fn preset_names() -> impl Iterator<Item = &'static str> {
 }
 
 /// The presets that suit a volume with this name and range of values. Presets of Hounsfield units suit scans in these
-/// alone, and those of test volumes suit nothing else.
+/// alone, those of signed maps suit values on both sides of zero, and those of test volumes suit nothing else.
 pub fn fitting_presets(name: &str, (lo, hi): (f32, f32)) -> impl Iterator<Item = &'static str> {
-    let is_in_hounsfield_units = lo <= -500.0 && hi >= 300.0;
+    let is_in_hounsfield_units = may_be_hounsfield(lo, hi);
     let kind = name.strip_prefix("builtin:").unwrap_or(name);
     let kind = kind.split_once('@').map_or(kind, |(kind, _)| kind);
     let builtin = Builtin::from_name(kind).map(Builtin::name);
     preset_names().filter(move |preset| match (builtin, Builtin::from_name(preset)) {
         (_, Some(_)) => builtin == Some(preset),
         (Some(_), None) => *preset == "smooth",
+        (None, None) if *preset == SIGNED => lo < 0.0 && hi > 0.0 && !is_in_hounsfield_units,
         (None, None) => OF_HOUNSFIELD_UNITS.contains(preset) == is_in_hounsfield_units,
     })
 }
 
+const SIGNED: &str = "signed";
 const OF_HOUNSFIELD_UNITS: [&str; 4] = ["ct-body", "ct-bone", "ct-lung", "ct-vessels"];
 
 /// The initial preset for a volume that is opened from `source`. Built-in volumes have their own, and CT and MR use
@@ -43,60 +46,116 @@ pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &
         Some(Builtin::Cloud) => "cloud",
         Some(Builtin::Cubus) => "cubus",
         Some(Builtin::Shells) => "shells",
-        None => of_modality(volume).unwrap_or_else(|| match Statistics::of(volume, histogram).preset() {
-            // A volume with an orientation shows a body, not a plant or a stone.
-            "ct" if volume.info.orientation.is_some() => "ct-windowed",
-            name => name,
-        }),
+        None => {
+            of_values(volume, histogram).unwrap_or_else(|| match Statistics::of(volume, histogram).preset() {
+                // A volume with an orientation shows a body, not a plant or a stone.
+                "ct" if volume.info.orientation.is_some() => "ct-windowed",
+                name => name,
+            })
+        }
     }
 }
 
-/// [`default_preset`] as a transfer function. A scanned thing often stands in resin or gel, which would hide it. If
-/// the sides of the volume have nearly one visible value, the domain begins so high that this value is clear.
+/// [`default_preset`] as a transfer function, with the window of the file if it has one. A scanned thing often stands in
+/// resin or gel, which would hide it: then the domain begins so high that the outermost voxels are clear.
 pub fn default_transfer(source: &str, volume: &Volume, histogram: &Histogram) -> TransferFunction {
     let name = default_preset(source, volume, histogram);
     let mut transfer = preset(name).expect("the default is one of the presets");
-    if let Domain::Percentiles(from, to) = transfer.domain {
-        let (lo, hi) = (histogram.percentile(from), histogram.percentile(to));
-        let Some(surroundings) = surroundings(volume, 0.2 * (hi - lo)) else { return transfer };
-        let clear_below = transfer.points[0].x;
+    let (from, to) = match transfer.domain {
+        Domain::Full => (0.0, 100.0),
+        Domain::Percentiles(from, to) => (from, to),
+        Domain::Values(..) | Domain::AboutZero(_) => return transfer,
+    };
+    let (mut lo, mut hi) = (histogram.percentile(from), histogram.percentile(to));
+    // A window that shows nearly nothing or all as white is no good beginning.
+    let share = |value: f32| histogram.share_above(value);
+    if let Some((black, white)) = volume.info.window
+        && share(black) > FEWEST_SHOWN
+        && share(white) < MOST_WHITE
+    {
+        (lo, hi) = (black, white);
+        transfer.domain = Domain::Values(lo, hi);
+    }
+    let clear_below = transfer.points[0].x;
+    let begins_at = |surroundings: f32| {
         let begin = (surroundings - clear_below * hi) / (1.0 - clear_below);
-        // A background that is already clear stays as it is.
-        if surroundings - lo > (clear_below + 0.1) * (hi - lo) && begin > lo && begin < hi {
-            transfer.domain = Domain::Values(begin, hi);
-        }
+        (begin > lo && begin < hi).then_some(begin)
+    };
+    let sides = Sides::of(volume);
+    let uniform = sides.uniform(0.2 * (hi - lo));
+    // A background that is already clear stays as it is.
+    let veil = uniform.filter(|value| value - lo > (clear_below + 0.1) * (hi - lo)).and_then(begins_at);
+    let block = || {
+        let is_block = sides.opaque_share(&transfer, (lo, hi)) > MOST_OPAQUE;
+        let highest = sides.percentile(0.98);
+        begins_at(highest).filter(|_| is_block && share(highest) > FEWEST_SHOWN)
+    };
+    if let Some(begin) = veil.or_else(block) {
+        transfer.domain = Domain::Values(begin, hi);
     }
     transfer
 }
 
-/// The 98th percentile of the values on the sides of a volume, if 96 % of them lie within `span`.
-fn surroundings(volume: &Volume, span: f32) -> Option<f32> {
-    let dims = volume.dims().map(|d| d as i32);
-    let stride = dims.map(|d| (d / SAMPLES_PER_SIDE).max(1) as usize);
-    let mut values = Vec::new();
-    for axis in 0..3 {
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        for side in [0, dims[axis] - 1] {
-            for a in (0..dims[u]).step_by(stride[u]) {
-                for b in (0..dims[v]).step_by(stride[v]) {
-                    let mut at = [0; 3];
-                    (at[axis], at[u], at[v]) = (side, a, b);
-                    values.push(volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])));
+/// A sample of the outermost voxels, ascending.
+struct Sides(Vec<f32>);
+
+impl Sides {
+    fn of(volume: &Volume) -> Self {
+        let dims = volume.dims().map(|d| d as i32);
+        let stride = dims.map(|d| (d / SAMPLES_PER_SIDE).max(1) as usize);
+        let mut values = Vec::new();
+        for axis in 0..3 {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            for side in [0, dims[axis] - 1] {
+                for a in (0..dims[u]).step_by(stride[u]) {
+                    for b in (0..dims[v]).step_by(stride[v]) {
+                        let mut at = [0; 3];
+                        (at[axis], at[u], at[v]) = (side, a, b);
+                        values.push(volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])));
+                    }
                 }
             }
         }
+        values.sort_unstable_by(f32::total_cmp);
+        Self(values)
     }
-    values.sort_unstable_by(f32::total_cmp);
-    let at = |share: f32| values[((values.len() - 1) as f32 * share) as usize];
-    (at(0.98) - at(0.02) < span).then(|| at(0.98))
+
+    /// The value that this share of them does not exceed.
+    fn percentile(&self, share: f32) -> f32 {
+        self.0[((self.0.len() - 1) as f32 * share) as usize]
+    }
+
+    /// The 98th percentile, if 96 % lie within `span`.
+    fn uniform(&self, span: f32) -> Option<f32> {
+        let most = self.percentile(0.98);
+        (most - self.percentile(0.02) < span).then_some(most)
+    }
+
+    /// The share of them that hides what is behind: a few voxels let hardly any light through.
+    fn opaque_share(&self, transfer: &TransferFunction, (lo, hi): (f32, f32)) -> f32 {
+        let is_opaque = |value: &&f32| transfer.at((**value - lo) / (hi - lo)).1 > OPAQUE;
+        self.0.iter().filter(is_opaque).count() as f32 / self.0.len() as f32
+    }
 }
 
-/// The preset of the modality. CT must be in Hounsfield units, with air at about −1000.
-fn of_modality(volume: &Volume) -> Option<&'static str> {
+/// The preset of the modality, or of values that only one kind of volume has. CT must be in Hounsfield units, with air
+/// at about −1000.
+fn of_values(volume: &Volume, histogram: &Histogram) -> Option<&'static str> {
     let (lo, hi) = volume.value_range();
-    match volume.info.modality.as_deref()? {
-        "CT" if lo <= -500.0 && hi >= 300.0 => Some("ct-body"),
-        "MR" => Some("mri"),
+    let share = |from: f32, to: f32| histogram.share_above(from) - histogram.share_above(to);
+    // Both signs, and zero either in the middle or the value of all that is empty.
+    let (less, more) = (lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
+    let near = 0.02 * more;
+    let has_signs = lo < 0.0 && hi > 0.0 && less > 0.1 * more;
+    let is_signed = has_signs && (less > 0.7 * more || share(-near, near) > 0.3);
+    let is_in_hounsfield_units = may_be_hounsfield(lo, hi);
+    // Air, and tissue from fat to blood.
+    let has_tissue = || share(-1080.0, -850.0) > 0.01 && share(-150.0, 150.0) > 0.01;
+    match volume.info.modality.as_deref() {
+        Some("CT") if is_in_hounsfield_units => Some("ct-body"),
+        None if is_in_hounsfield_units && has_tissue() => Some("ct-body"),
+        _ if is_signed => Some(SIGNED),
+        Some("MR") => Some("mri"),
         _ => None,
     }
 }
@@ -198,11 +257,19 @@ presets![
     "ct-vessels",
     "ct-lung",
     "ct-windowed",
+    "signed",
     "cloud",
     "cubus",
     "shells"
 ];
 
+/// The opacity per unit length of matter that hides what is behind it after a few voxels.
+const OPAQUE: f32 = 0.1;
+/// The share of opaque voxels on the sides from which on a volume looks like a block.
+const MOST_OPAQUE: f32 = 0.5;
+/// The least share of voxels that a look must show, and the greatest share that may be at its upper end.
+const FEWEST_SHOWN: f32 = 0.002;
+const MOST_WHITE: f32 = 0.5;
 /// Sampled voxels along each axis. The quarter of a million in all gives two digits.
 const SAMPLES_PER_SIDE: i32 = 64;
 
@@ -240,8 +307,8 @@ mod tests {
 
     /// What is wrong with a curve: a jump in opacity would appear as a hard edge. Opacity begins at zero, has one value
     /// everywhere, and grows or falls by no more than half within an eighth of the domain.
-    fn jump(points: &[ControlPoint]) -> Option<&'static str> {
-        if points[0].opacity != 0.0 {
+    fn jump(points: &[ControlPoint], clear_at: f32) -> Option<&'static str> {
+        if points.iter().find(|p| p.x >= clear_at).is_none_or(|p| p.opacity != 0.0) {
             return Some("does not begin clear");
         }
         let is_steep =
@@ -259,17 +326,22 @@ mod tests {
     fn opacities_ramp_without_jumps() {
         for name in preset_names() {
             let points = preset(name).unwrap().points;
+            // A signed map is clear in its middle.
+            let clear_at = if name == SIGNED { 0.5 } else { 0.0 };
+            let jump = |points: &[ControlPoint]| jump(points, clear_at);
             assert_eq!(jump(&points), None, "{name}");
+            let first = points.iter().position(|p| p.x >= clear_at).unwrap();
             // Negative controls.
             let with = |change: &dyn Fn(&mut Vec<ControlPoint>)| {
                 let mut points = points.clone();
                 change(&mut points);
                 jump(&points)
             };
-            assert_eq!(with(&|points| points[0].opacity = 0.01), Some("does not begin clear"));
+            assert_eq!(with(&|points| points[first].opacity = 0.01), Some("does not begin clear"));
             assert_eq!(with(&|points| points[1].x = points[0].x), Some("has two opacities in one place"));
             let edge = |points: &mut Vec<ControlPoint>| {
-                points.push(ControlPoint { x: 1.001, opacity: 1.0, ..points[0] });
+                points.push(ControlPoint { x: 1.001, opacity: 0.0, ..points[0] });
+                points.push(ControlPoint { x: 1.002, opacity: 1.0, ..points[0] });
             };
             assert_eq!(with(&edge), Some("jumps"), "{name}");
         }
@@ -296,9 +368,16 @@ mod tests {
         };
         let hounsfield = vec![-1000.0, -900.0, -100.0, 0.0, 40.0, 60.0, 400.0, 1200.0];
         assert_eq!(pick(Some("CT"), hounsfield.clone()), "ct-body");
-        assert_eq!(pick(Some("MR"), hounsfield.clone()), "mri");
-        let others = [pick(None, hounsfield.clone()), pick(Some("US"), hounsfield)];
-        assert!(others.iter().all(|name| *name == others[0] && *name != "ct-body"), "{others:?}");
+        assert_eq!(pick(None, hounsfield.clone()), "ct-body", "its values say so");
+        assert_ne!(pick(Some("US"), hounsfield.clone()), "ct-body");
+        let above_zero: Vec<f32> = hounsfield.iter().map(|x| x + 1000.0).collect();
+        assert_eq!(pick(Some("MR"), above_zero.clone()), "mri");
+        assert_ne!(pick(None, above_zero), "ct-body");
+        // A map of statistics, a phase, and noise below an image.
+        let map = vec![0.0, 0.0, 0.0, 0.0, 0.0, -2.0, 4.0, 3.0];
+        assert_eq!([pick(None, map.clone()), pick(Some("MR"), map)], [SIGNED; 2]);
+        assert_eq!(pick(Some("MR"), (0..8).map(|i| i as f32 * 0.89 - 3.1).collect()), SIGNED);
+        assert_eq!(pick(Some("MR"), (0..8).map(|i| i as f32 * 100.0 - 20.0).collect()), "mri");
         let bytes = (0..8).map(|i| i as f32 * 30.0).collect();
         assert_ne!(pick(Some("CT"), bytes), "ct-body", "a CT of bytes is in no Hounsfield units");
     }
@@ -335,6 +414,47 @@ mod tests {
         assert_eq!(shown(3, thing_in(3)), None, "air is clear as it is");
         let halves = (0..8000).map(|i| if i % 20 < 10 { 100 } else { 220 }).collect();
         assert_eq!(shown(100, halves), None, "sides of several values are the thing itself");
+    }
+
+    #[test]
+    fn a_look_begins_with_the_window_of_the_file() {
+        let domain = |window| {
+            let info = VolumeInfo { window, ..VolumeInfo::default() };
+            let voxels = (0..4096).map(|i| i as f32).collect();
+            let volume = Volume::new([16; 3], Vec3::ONE, Voxels::F32(voxels), (1.0, 0.0), info).unwrap();
+            default_transfer("file", &volume, &Histogram::of(&volume)).domain
+        };
+        assert_eq!(domain(Some((1000.0, 3000.0))), Domain::Values(1000.0, 3000.0));
+        let usual = domain(None);
+        for useless in [(5000.0, 6000.0), (-9.0, -8.0), (0.0, 100.0)] {
+            assert_eq!(domain(Some(useless)), usual, "{useless:?}");
+        }
+    }
+
+    #[test]
+    fn no_look_opens_on_a_block() {
+        // Rising values on all sides and brighter matter within.
+        let opened = |least: u16| {
+            let voxels = (0..32_768usize).map(|i| {
+                let at = [i % 32, i / 32 % 32, i / 1024];
+                let is_within = at.iter().all(|x| (10..22).contains(x));
+                let side = least + (at[0] + at[1] + at[2]) as u16 * 10;
+                if is_within { 4000 + (i % 7) as u16 } else { side }
+            });
+            let voxels = Voxels::U16(voxels.collect());
+            let volume = Volume::new([32; 3], Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
+            let histogram = Histogram::of(&volume);
+            let transfer = default_transfer("file", &volume, &histogram);
+            let domain = transfer.at_values(&volume, &histogram).domain;
+            let Domain::Values(lo, hi) = domain else { panic!("{domain:?}") };
+            let opacity = |value: f32| transfer.at((value - lo) / (hi - lo)).1;
+            (Sides::of(&volume).opaque_share(&transfer, (lo, hi)), opacity(4003.0))
+        };
+        let (sides, matter) = opened(2500);
+        assert!(sides < 0.1 && matter > OPAQUE, "{sides} of the sides hide matter of {matter}");
+        // The control is clear on its sides without any help.
+        let (sides, matter) = opened(0);
+        assert!(sides < 0.1 && matter > OPAQUE, "{sides} of the sides hide matter of {matter}");
     }
 
     #[test]

@@ -54,12 +54,14 @@ pub fn transfer_to_toml(transfer: &TransferFunction) -> String {
     let [a, b] = match transfer.domain {
         Domain::Full => [0.0; 2],
         Domain::Values(a, b) | Domain::Percentiles(a, b) => [a, b],
+        Domain::AboutZero(percent) => [percent; 2],
     };
     let (a, b) = (number_literal(a), number_literal(b));
     out += &match transfer.domain {
         Domain::Full => "domain = \"full\"\n".to_owned(),
         Domain::Values(..) => format!("domain = {{ values = [{a}, {b}] }}\n"),
         Domain::Percentiles(..) => format!("domain = {{ percentiles = [{a}, {b}] }}\n"),
+        Domain::AboutZero(..) => format!("domain = {{ about-zero = {a} }}\n"),
     };
     out += &match transfer.unit_length {
         UnitLength::Voxel => "unit_length = \"voxel\"\n".to_owned(),

@@ -17,6 +17,11 @@ pub(crate) fn length_unit(name: &str) -> Option<(f64, &'static str)> {
     })
 }
 
+/// Whether values between these may be Hounsfield units: air is about −1000, and bone exceeds 300.
+pub(crate) fn may_be_hounsfield(lo: f32, hi: f32) -> bool {
+    (-4096.0..=-500.0).contains(&lo) && hi >= 300.0
+}
+
 /// A unit of values as a file writes it, cut to what fits beside a number; `None` if it says that there is none.
 pub(crate) fn value_unit(name: &str) -> Option<String> {
     let name = name.trim();

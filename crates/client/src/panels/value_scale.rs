@@ -76,6 +76,14 @@ impl ValueScale {
                 let is_one = self.counts.len() < MAX_BINS && bin(lo) == bin(hi);
                 if is_one { self.bins } else { apart((lo, hi)) }
             }
+            Domain::AboutZero(percent) => {
+                let ends =
+                    [100.0 - percent, percent].map(|p| self.percentile(p).clamp(self.bins.0, self.bins.1));
+                let most = ends[0].abs().max(ends[1].abs());
+                let all = self.bins.0.abs().max(self.bins.1.abs());
+                let most = if most > 0.0 { most } else { all };
+                apart((-most, most))
+            }
         }
     }
 

@@ -68,6 +68,12 @@ impl TransferFunction {
                 (lo, hi) if lo >= hi => (histogram.lo, histogram.hi),
                 between => between,
             },
+            Domain::AboutZero(percent) => {
+                let ends = [100.0 - percent, percent].map(|p| histogram.bulk_percentile(p).abs());
+                // Nearly all voxels are zero, so the few others matter.
+                let (most, all) = (ends[0].max(ends[1]), histogram.lo.abs().max(histogram.hi.abs()));
+                if most > 0.0 { (-most, most) } else { (-all, all) }
+            }
         }
     }
 

@@ -69,6 +69,8 @@ pub struct VolumeInfo {
     pub modality: Option<String>,
     /// Unit of the values, such as `HU`, if known.
     pub value_unit: Option<String>,
+    /// The values between which the file's author shows it, ascending, if known.
+    pub window: Option<(f32, f32)>,
     /// Oddities of the file, one sentence each.
     pub warnings: Vec<String>,
 }

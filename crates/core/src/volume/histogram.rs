@@ -71,6 +71,16 @@ impl Histogram {
         self.percentile(percent).clamp(self.lo, self.hi)
     }
 
+    /// The share of the voxels above `value`, 0 to 1, to the precision of the bins.
+    pub fn share_above(&self, value: f32) -> f32 {
+        let total: u64 = self.counts.iter().sum();
+        let last = (self.counts.len() - 1).max(1) as f32;
+        let bin = ((value - self.lo) / (self.hi - self.lo) * last).floor();
+        let first = if bin >= 0.0 { (bin as usize).saturating_add(1) } else { 0 };
+        let above: u64 = self.counts.iter().skip(first).sum();
+        above as f32 / total.max(1) as f32
+    }
+
     /// The value that best separates lower and higher voxels: the greatest variance between the classes (Otsu 1979).
     pub fn parting_value(&self) -> f32 {
         parting_value(&self.counts, (self.lo, self.hi))

@@ -22,6 +22,8 @@ pub(super) struct Multiscale {
     /// The transformation after that of each level.
     all: Transform,
     channels: Vec<String>,
+    /// What each channel shows black and white.
+    windows: Vec<Option<(f64, f64)>>,
     /// Whether the axes are named.
     is_image: bool,
 }
@@ -103,8 +105,11 @@ impl Multiscale {
         let omero = attributes.get("omero").or_else(|| image.get("omero"));
         let channels = omero.and_then(|o| o.get("channels")).and_then(Value::as_array);
         let label = |c: &Value| quoted(c["label"].as_str().unwrap_or_default()).trim_matches('"').to_owned();
-        let channels = channels.map_or(Vec::new(), |l| l.iter().take(1024).map(label).collect());
-        Ok(Self { version, axes, levels, all, channels, is_image: true })
+        let window = |c: &Value| c["window"]["start"].as_f64().zip(c["window"]["end"].as_f64());
+        let channels = channels.map_or(&[][..], |list| &list[..list.len().min(1024)]);
+        let windows = channels.iter().map(window).collect();
+        let channels = channels.iter().map(label).collect();
+        Ok(Self { version, axes, levels, all, channels, windows, is_image: true })
     }
 
     fn of_array(path: &Path) -> Result<Option<Self>, FormatError> {
@@ -122,7 +127,7 @@ impl Multiscale {
             .map_err(bad)?;
         let levels = vec![LevelPath { path: PathBuf::new(), own: None }];
         let (version, all) = (String::new(), Transform::none(n));
-        Ok(Some(Self { version, axes, levels, all, channels: Vec::new(), is_image: false }))
+        Ok(Some(Self { version, axes, levels, all, channels: vec![], windows: vec![], is_image: false }))
     }
 
     /// Sizes along x, y and z of an array with this shape.
@@ -204,6 +209,7 @@ impl Multiscale {
         let format = format!("{}, Zarr {}", name.trim_end(), array.version);
         let mut plan = Plan::new(format, array.dtype, array.codecs.endian, axes, geometry);
         plan.channel_names.clone_from(&self.channels);
+        plan.windows.clone_from(&self.windows);
         plan.level = level;
         if arrays.len() > 1 {
             let spacing = |place: &Transform, k: usize| {

@@ -459,6 +459,7 @@ impl TransferEditor {
                     Domain::Percentiles(1.0, 99.0),
                     "leaves out a hundredth of the voxels at each end",
                 ),
+                ("±", Domain::AboutZero(99.9), "as far below zero as above it"),
             ] {
                 let is_selected = self.curve.transfer.domain == wanted;
                 let button = ui.add(egui::Button::new(text).selected(is_selected));
