@@ -51,6 +51,8 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     match () {
         () if start.is_empty() => FileKind::Other("an empty file"),
+        // Before the mark is a preamble, which may look like a file of another kind.
+        () if is_at(128, b"DICM") => FileKind::Dicom,
         () if is_at(0, b"NRRD") => FileKind::Nrrd,
         () if is_at(0, &[0x1f, 0x8b]) => FileKind::Gzip,
         () if [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| is_at(0, *magic)) => FileKind::Tiff,

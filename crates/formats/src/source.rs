@@ -33,6 +33,8 @@ pub struct OpenOptions<'a> {
     pub max_bytes: u64,
     /// Whether a header may name files outside its own folder, and links in a folder may lead outside.
     pub foreign_files: bool,
+    /// Whether the slices of a DICOM series stay as they are stored, even if they are uneven, missing or tilted.
+    pub stored_slices: bool,
     /// Called now and then with the fraction that has been read, 0 to 1.
     pub progress: Option<&'a dyn Fn(f32)>,
     /// Set this flag to stop reading.
@@ -47,6 +49,7 @@ impl Default for OpenOptions<'_> {
             spacing: None,
             max_bytes: DEFAULT_MAX_BYTES,
             foreign_files: false,
+            stored_slices: false,
             progress: None,
             cancel: None,
         }
@@ -157,7 +160,7 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
         FileKind::Zip => Box::new(npy::NpyFile::open_archive(file, path, options)?),
         FileKind::Mrc => Box::new(mrc::MrcFile::open(file, path)?),
         FileKind::Tiff => Box::new(tiff::TiffFile::open(vec![path.to_owned()], path, options)?),
-        FileKind::Dicom => Box::new(dicom::DicomFiles::open(vec![path.to_owned()], path, options)?),
+        FileKind::Dicom => dicom::open(vec![path.to_owned()], path, options)?,
         FileKind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
         FileKind::Other(found) => return Err(unsupported(found, sniff::expected_for(found))),
     })
@@ -211,7 +214,7 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
         });
     }
     home.check_all(&files)?;
-    Ok(Box::new(dicom::DicomFiles::open(files, path, options)?))
+    dicom::open(files, path, options)
 }
 
 /// The first bytes of a file; `None` if it cannot be read.

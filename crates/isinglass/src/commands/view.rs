@@ -200,7 +200,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         ..WindowOptions::default()
     };
     let limit = args.memory.bytes();
-    let foreign_files = args.part.has_foreign_files();
+    let (foreign_files, stored_slices) = (args.part.has_foreign_files(), args.part.has_stored_slices());
     let (target, remote, tunnel) = match target {
         Some(Target::Remote(volume, text)) => {
             let order = remote::order(seen.given(), args.look.tf.as_deref())?;
@@ -222,7 +222,8 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             return write_path(args.record.as_deref(), recorder.as_deref());
         }
         Some(Target::Volume(source)) => {
-            Some(LoadRequest { source, raw, selection, spacing, max_bytes: limit, foreign_files })
+            let max_bytes = limit;
+            Some(LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices })
         }
         None if of_state => {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
