@@ -43,6 +43,18 @@ impl HomeFolder {
         if self.holds(&path) { Ok(path) } else { Err(self.refusal(name)) }
     }
 
+    /// The same for a file that has voxels and must be there.
+    ///
+    /// # Errors
+    /// It is outside the folder, or missing.
+    pub(crate) fn data_file(&self, name: &str) -> Result<PathBuf, FormatError> {
+        let path = self.file(name)?;
+        if path.exists() {
+            return Ok(path);
+        }
+        Err(FormatError::MissingData { path: shown(&self.owner), name: quoted(name) })
+    }
+
     /// Refuses a file of the folder if its path leads outside.
     pub(crate) fn check(&self, path: &Path) -> Result<(), FormatError> {
         let name = || path.strip_prefix(&self.folder).unwrap_or(path).to_string_lossy().into_owned();

@@ -11,6 +11,7 @@
 //! allocated. Every error is one line that names the file, what was expected and what was found. This crate draws
 //! nothing and knows no network.
 
+mod alike;
 mod axes;
 mod collector;
 mod content;
@@ -26,6 +27,7 @@ mod hyperslab;
 pub mod iglf;
 mod loading;
 mod metaimage;
+mod mgh;
 pub mod movie;
 mod mrc;
 mod nifti;
@@ -33,8 +35,10 @@ mod npy;
 mod nrrd;
 mod outline;
 mod output;
+mod packed;
 mod plan;
 pub mod png;
+mod png_stack;
 mod presets;
 mod raw;
 mod recent;
@@ -54,6 +58,7 @@ mod transfer_maps;
 mod units;
 mod volume_source;
 mod vti;
+mod vtk;
 mod warning;
 mod xml;
 mod zarr;

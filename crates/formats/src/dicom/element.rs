@@ -118,6 +118,9 @@ impl DataSet {
         let length = reader.get_ref().metadata()?.len();
         let mut start = [0; 132];
         let n = read_up_to(reader, &mut start)?;
+        if n == 0 {
+            return Err(invalid("it is empty (0 bytes)"));
+        }
         let is_marked = n == start.len() && start[128..] == *b"DICM";
         let at = if is_marked { 132 } else { 0 };
         reader.seek(SeekFrom::Start(at))?;

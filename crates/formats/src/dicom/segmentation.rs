@@ -221,9 +221,9 @@ fn slice_step(places: &[f64], told: Option<f64>) -> Option<f64> {
     told.filter(is_whole).or_else(|| gaps().min_by(f64::total_cmp)).or(told)
 }
 
-/// The number, name and colour of a segment.
+/// The number, name and colour of a segment; `None` for the background.
 fn label(fields: &Elements) -> Option<VolumeLabel> {
-    let value = fields.short(tags::SEGMENT_NUMBER)?;
+    let value = fields.short(tags::SEGMENT_NUMBER).filter(|n| *n > 0)?;
     let name = fields.text(tags::SEGMENT_LABEL).unwrap_or_else(|| format!("segment {value}"));
     let color = fields.shorts(tags::SEGMENT_COLOR).first_chunk().map(|lab| srgb_from_lab(*lab));
     Some(VolumeLabel { value: value.into(), name: crate::error::one_line(&name), color })
