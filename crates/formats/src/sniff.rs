@@ -90,9 +90,14 @@ fn named(start: &[u8], path: &Path) -> Option<&'static str> {
     let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_ascii_lowercase();
     match () {
         () if name.ends_with(".img") && path.with_extension("hdr").is_file() => Some(PAIR),
-        () if name.ends_with(".img") && !start.starts_with(LFS) => Some("voxels without their .hdr file"),
+        () if name.ends_with(".img") && !is_lfs_pointer(start) => Some("voxels without their .hdr file"),
         () => None,
     }
+}
+
+/// Whether a file is a pointer to one that Git keeps elsewhere.
+pub(crate) fn is_lfs_pointer(start: &[u8]) -> bool {
+    start.starts_with(LFS)
 }
 
 /// A description of gzip data at `path` of an unknown format.
@@ -113,7 +118,7 @@ pub(crate) fn expected_for(found: &str) -> &'static str {
 fn other_name(start: &[u8]) -> &'static str {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     match () {
-        () if is_at(0, LFS) => LFS_NAME,
+        () if is_lfs_pointer(start) => LFS_NAME,
         () if (is_at(0, b"<?xml") || is_at(0, b"<OME")) && contains(start, b"<OME") => {
             "the description of an OME-TIFF"
         }
@@ -140,7 +145,7 @@ fn contains(bytes: &[u8], word: &[u8]) -> bool {
 
 /// Voxels beside their header, which is opened instead.
 pub(crate) const PAIR: &str = "voxels of a pair of files";
-/// The first bytes of a pointer to a file that Git keeps elsewhere.
+/// The first bytes of a pointer.
 const LFS: &[u8] = b"version https://git-lfs.github.com/spec/";
 pub(crate) const LFS_NAME: &str = "a Git LFS pointer in place of the file";
 

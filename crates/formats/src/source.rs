@@ -133,6 +133,11 @@ fn builtin(name: &str) -> Result<(Builtin, u32), FormatError> {
     Ok((builtin, side))
 }
 
+/// Whether `source` is a built-in volume, or names a file or folder that exists. This may wait for a disk.
+pub fn source_exists(source: &str) -> bool {
+    source.starts_with("builtin:") || path_of(source).is_ok_and(|path| path.exists())
+}
+
 /// The path that `source` names. Some names are no UTF-8. They have � in place of what is not, and the file whose name
 /// reads so is meant.
 fn path_of(source: &str) -> Result<PathBuf, FormatError> {
@@ -274,7 +279,7 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile>
 }
 
 /// The first bytes of a file; `None` if it cannot be read.
-fn read_start(file: &Path) -> Option<Vec<u8>> {
+pub(crate) fn read_start(file: &Path) -> Option<Vec<u8>> {
     let mut start = Vec::new();
     File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start)).ok()?;
     Some(start)

@@ -213,3 +213,34 @@ fn what_is_no_picture_is_named() {
     let said = opened(lone.path()).info.warnings;
     assert!(!said.iter().any(|w| w.contains("left out")), "{said:?}");
 }
+
+#[test]
+fn empty_files_among_slices_are_told() {
+    let place = |z: f64| {
+        vec![
+            decimals(POSITION, &[0.0, 0.0, z]),
+            decimals(ORIENTATION, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
+            decimals(SPACING, &[1.0, 1.0]),
+        ]
+    };
+    let slice = |z: f64| file(PLAIN, place(z), &[z as u16]);
+    let series =
+        folder(&[("1.dcm", slice(0.0)), ("2.dcm", vec![]), ("3.dcm", slice(2.0)), ("4.dcm", slice(4.0))]);
+    let volume = opened(series.path());
+    assert_eq!(values(&volume).iter().step_by(4).copied().collect::<Vec<_>>(), [0.0, 2.0, 4.0]);
+    let text = "1 files are no slices and were left out, the first: 2.dcm: it is empty (0 bytes)";
+    assert!(volume.info.warnings.iter().any(|w| w == text), "{:?}", volume.info.warnings);
+    // The same series in an archive.
+    let mut archive = rawzip::ZipArchiveWriter::new(Vec::new());
+    for (i, z) in [4.0, 0.0, 2.0].into_iter().enumerate() {
+        let (mut entry, config) = archive.new_file(&format!("series/{i}.dcm")).start().unwrap();
+        let mut writer = config.wrap(&mut entry);
+        std::io::Write::write_all(&mut writer, &slice(z)).unwrap();
+        let (_, descriptor) = writer.finish().unwrap();
+        entry.finish(descriptor).unwrap();
+    }
+    let path = series.path().join("series.zip");
+    fs::write(&path, archive.finish().unwrap()).unwrap();
+    let zipped = opened(&path);
+    assert_eq!((values(&zipped), zipped.spacing()), (values(&volume), volume.spacing()));
+}

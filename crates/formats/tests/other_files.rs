@@ -7,7 +7,7 @@ use std::io::Write;
 use std::path::Path;
 
 use isinglass_core::volume::Volume;
-use isinglass_formats::{OpenOptions, open, outline};
+use isinglass_formats::{OpenOptions, open, outline, source_exists};
 use tempfile::TempDir;
 
 #[test]
@@ -221,7 +221,10 @@ fn archives_hold_files_or_folders() {
     let volume = opened(Path::new(&slices));
     assert_eq!((values(&volume), volume.info.name.as_str()), (vec![7.0, 7.0, 9.0, 9.0], "a.zip"));
     for (entries, expected) in [
-        (&[("__MACOSX/a.nrrd", NRRD)][..], "a.zip: found a ZIP archive without files, expected one with a volume"),
+        (
+            &[("__MACOSX/a.nrrd", NRRD)][..],
+            "a.zip: found a ZIP archive without files, expected one with a volume",
+        ),
         (&[("a.txt", b"hello")], "a.zip/a.txt: found no header that is known, expected"),
         (&[("a/b.txt", b"hello"), ("a/c.txt", b"hello")], "a.zip/a: found a folder without slices, expected"),
     ] {
@@ -299,6 +302,10 @@ fn folders_and_places_are_told_apart() {
         e.ends_with(r#"a.nhdr: its data file "gone.raw" is missing; expected it beside the header"#),
         "{e}"
     );
+    put("gone.raw", b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n");
+    let e = refused(folder.path().join("a.nhdr").to_str().unwrap());
+    assert!(e.contains("gone.raw: found a Git LFS pointer in place of the file"), "{e}");
+    fs::remove_file(folder.path().join("gone.raw")).unwrap();
     let mhd = String::from_utf8_lossy(&MHA[..MHA.len() - 2]).replace("LOCAL", "gone.raw");
     assert!(refused(&put("a.mhd", mhd.as_bytes())).contains(r#"a.mhd: its data file "gone.raw" is missing"#));
     // A scale of zero is told in words, and another can be given.
@@ -322,5 +329,6 @@ fn names_that_are_no_utf8_are_found() {
     let source = format!("{}/\u{fffd}/M\u{fffd}ller.nrrd", folder.path().display());
     let volume = open(&source, &OpenOptions::default()).unwrap();
     assert_eq!(values(&volume), [5.0, 6.0]);
+    assert!(source_exists(&source) && !source_exists(&source.replace("ller", "llen")));
     assert!(refused(&source.replace("ller", "llen")).contains("No such file"));
 }

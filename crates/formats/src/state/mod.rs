@@ -43,7 +43,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::error::{FormatError, quoted, shown};
 use crate::raw::RawShape;
 use crate::selection::Selection;
-use crate::source::read_file;
+use crate::source::{read_file, source_exists};
 use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
 
@@ -166,7 +166,7 @@ impl SavedVolume {
     /// Whether the source is a file that exists or a built-in volume. This may wait for a disk.
     pub fn is_here(&self) -> bool {
         let Some(source) = self.source.as_deref().filter(|_| self.link().is_none()) else { return false };
-        source.starts_with(BUILTIN) || Path::new(source).exists()
+        source_exists(source)
     }
 
     /// Finds the file of the volume. If it is not at its path, the folder of the state file `state` is searched for

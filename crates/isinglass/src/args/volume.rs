@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use glam::Vec3;
 use isinglass_bench::progress::Progress;
 use isinglass_core::volume::{Lighting, Volume};
@@ -19,9 +20,10 @@ use crate::memory::MemoryArgs;
 /// A volume, and the layout of a raw one.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
-    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with
-    /// --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
-    #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>)]
+    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH, NumPy, PNG), also in
+    /// gzip or ZIP, a raw file with --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N
+    /// voxels a side)
+    #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>, value_parser = any_text())]
     pub(crate) volume: Option<String>,
     #[command(flatten)]
     pub(crate) raw: RawArgs,
@@ -84,6 +86,11 @@ impl VolumeArgs {
             ..OpenOptions::default()
         }
     }
+}
+
+/// Accepts any name of a file. What is no UTF-8 becomes �, as [`open`] takes it.
+pub(crate) fn any_text() -> impl TypedValueParser<Value = String> {
+    OsStringValueParser::new().map(|name| name.to_string_lossy().into_owned())
 }
 
 /// Runs `read` with a progress display that names the size of the volume.

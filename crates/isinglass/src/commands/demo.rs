@@ -15,7 +15,7 @@ use isinglass_server::{ServeOptions, Timing};
 
 use crate::args::{
     BackendArgs, ForesightArgs, LinkArgs, ListArgs, LookArgs, PartArgs, PathArgs, PlanArgs, RawArgs,
-    VolumeArgs, parse_duration, parse_fov, parse_rate, parse_size,
+    VolumeArgs, any_text, parse_duration, parse_fov, parse_rate, parse_size,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -27,7 +27,7 @@ use crate::window_args::WindowArgs;
 #[derive(Args, Clone)]
 pub(crate) struct DemoArgs {
     /// A volume, as for `serve` [default: builtin:shells]
-    #[arg(value_name = "VOLUME")]
+    #[arg(value_name = "VOLUME", value_parser = any_text())]
     volume: Option<String>,
     #[command(flatten)]
     state: StateArgs,
