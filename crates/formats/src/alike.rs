@@ -42,12 +42,10 @@ pub(crate) fn alike<S: PartialEq>(
     let other = is_slice.iter().position(|is| !is);
     let warning = other.map(|i| {
         let (num, name) = (is_slice.iter().filter(|is| !**is).count(), file_name(&files[i]));
-        let are = if num == 1 {
-            "file is not like the others and was"
-        } else {
-            "files are not like the others and were"
-        };
-        format!("{num} {are} left out, the first: {name}")
+        match num {
+            1 => format!("{name} is not like the other files and was left out"),
+            _ => format!("{num} files are not like the others and were left out, the first: {name}"),
+        }
     });
     let kept = files.into_iter().zip(is_slice).filter(|(_, is)| *is).map(|(file, _)| file);
     Ok((kept.collect(), warning))
@@ -68,6 +66,8 @@ mod tests {
         let (kept, said) = alike(files(&["xx", "a", "b", "longer", "c"]), by_length).unwrap();
         assert_eq!(kept, files(&["a", "b", "c"]));
         assert_eq!(said.unwrap(), "2 files are not like the others and were left out, the first: xx");
+        let one = alike(files(&["a", "b", "cc"]), by_length).unwrap().1;
+        assert_eq!(one.unwrap(), "cc is not like the other files and was left out");
         assert_eq!(alike(files(&["a", "b"]), by_length).unwrap(), (files(&["a", "b"]), None));
         assert_eq!(alike(files(&["aa", "b"]), by_length).unwrap().0, files(&["aa"]));
         assert!(alike(files(&["longer"]), by_length).is_err());

@@ -167,7 +167,7 @@ pub enum FormatError {
 
 impl FormatError {
     /// The same error about what was unpacked from `owner` into `folder`. A file inside is named behind its owner.
-    pub(crate) fn from_folder(mut self, folder: &Path, owner: &Path) -> Self {
+    pub(crate) fn named_within(mut self, folder: &Path, owner: &Path) -> Self {
         let (Self::Io { path, .. }
         | Self::Unsupported { path, .. }
         | Self::Header { path, .. }

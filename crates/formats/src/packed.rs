@@ -28,7 +28,7 @@ impl VolumeFile for PackedFile {
     }
 
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
-        self.inner.read(collector).map_err(|e| e.from_folder(self.folder.path(), &self.path))
+        self.inner.read(collector).map_err(|e| e.named_within(self.folder.path(), &self.path))
     }
 }
 
@@ -141,7 +141,7 @@ fn opened(
     folder: TempDir,
     options: &OpenOptions,
 ) -> Result<Box<dyn VolumeFile>, FormatError> {
-    let inner = open_path(target, options).map_err(|e| e.from_folder(folder.path(), path))?;
+    let inner = open_path(target, options).map_err(|e| e.named_within(folder.path(), path))?;
     Ok(Box::new(PackedFile { inner, path: path.to_owned(), folder }))
 }
 

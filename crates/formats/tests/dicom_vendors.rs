@@ -233,7 +233,7 @@ fn empty_files_among_slices_are_told() {
     // The same series in an archive.
     let mut archive = rawzip::ZipArchiveWriter::new(Vec::new());
     for (i, z) in [4.0, 0.0, 2.0].into_iter().enumerate() {
-        let (mut entry, config) = archive.new_file(&format!("series/{i}.dcm")).start().unwrap();
+        let (mut entry, config) = archive.new_file(format!("series/{i}.dcm")).start().unwrap();
         let mut writer = config.wrap(&mut entry);
         std::io::Write::write_all(&mut writer, &slice(z)).unwrap();
         let (_, descriptor) = writer.finish().unwrap();

@@ -540,3 +540,23 @@ fn segmentations_by_highdicom() {
         assert_eq!(&outline_of(&path).labels, labels);
     }
 }
+
+#[test]
+fn packed_and_other_files_by_nibabel_and_simpleitk() {
+    let folder = unpack("packed");
+    let paths = files(folder.path(), &[""]);
+    assert_eq!(paths.len(), 4 + 3 + 1 + 2 + 2);
+    for path in paths {
+        let (volume, name, first) = checked(&path);
+        let (form, rest) = name.split_once('-').unwrap();
+        let code = &rest[..2];
+        assert_eq!(first, first_of(code), "{name}");
+        check_type(&volume, code, &name);
+        if !matches!(form, "png" | "mha") {
+            check_place(&volume, &name);
+        }
+        if matches!(form, "mgh" | "mgz" | "zip" | "deflated") {
+            check_body(&volume, "RAS", &name);
+        }
+    }
+}

@@ -130,9 +130,8 @@ fn volumes_of_freesurfer_have_their_place() {
             (vec![-6.0, 5.0], [1.5, 3.0, 2.0]),
             "{name}"
         );
-        // The middle is a corner of four voxels: half a voxel from the centre along y and z, none along x.
+        // The header has the voxel after the middle. For a side of one voxel, that is half a voxel away.
         let center = volume.info.placement.unwrap().center;
-        // The middle is the lower corner of the voxel in the middle; that of a side of one voxel is half of one away.
         assert_eq!(center, [10.0 + 0.75, 20.0 - 1.5, 30.0 + 1.0], "{name}");
         assert!(!volume.info.warnings.iter().any(|w| w.contains("more data")), "{:?}", volume.info.warnings);
     }

@@ -130,7 +130,7 @@ pub(super) struct FileStack {
 /// What one file holds.
 pub(super) enum Contents {
     Stacks(Vec<FileStack>),
-    Segmentation(Segmentation),
+    Segmentation(Box<Segmentation>),
     /// A list of other files (DICOMDIR).
     List,
 }
@@ -165,7 +165,7 @@ pub(super) fn read_file(file: File, number: usize) -> io::Result<Contents> {
             None => Some(fragments(&mut reader, num_frames)?),
         };
         return Segmentation::of(&set, number, num_frames, parts)
-            .map(Contents::Segmentation)
+            .map(|found| Contents::Segmentation(Box::new(found)))
             .map_err(invalid);
     }
     let mosaic = Mosaic::of(&set).filter(|_| num_frames == 1);

@@ -13,6 +13,8 @@ pub(super) struct Gaps {
     /// From the first slice to the last.
     span: f64,
     is_uneven: bool,
+    /// Whether even distances would move some slice far from its place.
+    is_displaced: bool,
     /// Number of slices in each block, and the widest gap between blocks.
     blocks: Vec<usize>,
     widest: f64,
@@ -48,8 +50,16 @@ impl Gaps {
         let (least, greatest) =
             even.iter().fold((f64::INFINITY, 0.0f64), |(lo, hi), gap| (lo.min(*gap), hi.max(*gap)));
         let tolerance = JITTER_MM.max(UNEVEN * median);
+        let distance = even.iter().sum::<f64>() / even.len() as f64;
+        let mut place = 0.0;
+        let displacement = even.iter().map(|gap| {
+            place += gap - distance;
+            f64::abs(place)
+        });
+        let is_displaced = displacement.fold(0.0, f64::max) > DISPLACED * distance;
         Self {
-            distance: even.iter().sum::<f64>() / even.len() as f64,
+            distance,
+            is_displaced,
             least,
             greatest,
             span: places[places.len() - 1] - places[0],
@@ -66,10 +76,15 @@ impl Gaps {
         !self.is_uneven && self.blocks.len() == 1 && self.missing.is_empty()
     }
 
+    /// Whether slices have to be resampled to lie in their places. Rounded positions are near enough.
+    pub(super) fn need_resampling(&self) -> bool {
+        self.is_displaced || self.blocks.len() > 1 || !self.missing.is_empty()
+    }
+
     /// The number of evenly spaced slices that show all of these, and their distance.
     pub(super) fn even_slices(&self) -> (f64, f64) {
         // A quarter of the mean keeps slices that nearly touch from filling the memory.
-        let wanted = if self.is_uneven { self.least.max(self.distance / 4.0) } else { self.distance };
+        let wanted = if self.is_displaced { self.least.max(self.distance / 4.0) } else { self.distance };
         let steps = (self.span / wanted).round().max(1.0);
         (steps + 1.0, self.span / steps)
     }
@@ -110,7 +125,7 @@ impl Gaps {
             warn(format!("{num_missing} {are} missing, after {slices} {}; {shown}", listed(&self.missing)));
         }
         if self.is_uneven {
-            let shown = match resampled {
+            let shown = match resampled.filter(|_| self.is_displaced) {
                 Some(step) => format!("they were resampled to {step:.3} mm"),
                 None => format!("they are shown {distance:.3} mm apart"),
             };
@@ -143,6 +158,8 @@ const BLOCK_GAP: f64 = 4.0;
 /// Distances that differ by less than this, or by this fraction, are rounded.
 const JITTER_MM: f64 = 1e-3;
 const UNEVEN: f64 = 0.01;
+/// A slice that is farther from its place than this, in distances, is elsewhere.
+const DISPLACED: f64 = 0.1;
 /// Most numbers in a warning.
 const MAX_LISTED: usize = 6;
 
@@ -166,6 +183,22 @@ mod tests {
         assert_eq!(found.are_even(), warnings.is_empty());
         // The tolerance removes rounding of sums.
         ((found.distance * 1e6).round() / 1e6, warnings.into_iter().map(|w| w.1).collect())
+    }
+
+    #[test]
+    fn only_slices_that_lie_elsewhere_need_resampling() {
+        for (list, needed) in [
+            (&[3.0, 3.0, 3.0][..], false),
+            // Rounded to a tenth of a millimetre.
+            (&[3.0, 3.1, 2.9, 3.0], false),
+            (&[3.0, 3.4, 2.6, 3.0], true),
+            // Small differences add up.
+            (&[3.0, 3.0, 3.0, 3.0, 3.2, 3.2, 3.2, 3.2], true),
+            (&[3.0, 6.0, 3.0], true),
+            (&[3.0, 3.0, 60.0, 3.0], true),
+        ] {
+            assert_eq!(gaps(list).need_resampling(), needed, "{list:?}");
+        }
     }
 
     #[test]

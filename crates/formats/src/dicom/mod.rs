@@ -43,8 +43,14 @@ struct DicomFiles {
     /// Whether voxels are floats, because each slice has its own scale.
     is_rescaled: bool,
     open: Option<(usize, File)>,
-    /// The latest picture, because a mosaic has many slices, and where its pixels are.
-    picture: Option<(usize, Vec<(u64, u64)>, Vec<u8>)>,
+    /// The latest mosaic, because it has many slices.
+    mosaic: Option<DecodedMosaic>,
+}
+
+/// A picture of many slices.
+struct DecodedMosaic {
+    file: usize,
+    bytes: Vec<u8>,
 }
 
 /// Whether `start` begins a DICOM file. It needs the mark, or an element of group 8 or 2 at its start.
@@ -71,7 +77,7 @@ pub(crate) fn open(
         options.check_cancelled(path)?;
         match read_file(open_file(file)?, i) {
             Ok(Contents::Stacks(found)) => stacks.extend(found),
-            Ok(Contents::Segmentation(found)) => segmentations.push(found),
+            Ok(Contents::Segmentation(found)) => segmentations.push(*found),
             Ok(Contents::List) => left_out.has_list = true,
             Err(e) => {
                 let problem = match e.kind() {
@@ -229,7 +235,7 @@ impl DicomFiles {
         if is_lone_slice && frames.len() == 1 {
             plan.warn(WarningKind::Data, "the file is one slice; its folder is a series");
         }
-        Self { plan, files, shape, frames, num_slices, resampling, is_rescaled, open: None, picture: None }
+        Self { plan, files, shape, frames, num_slices, resampling, is_rescaled, open: None, mosaic: None }
     }
 
     /// The numbers of a frame as they are stored.
@@ -247,14 +253,14 @@ impl DicomFiles {
         if self.shape.tiles == 1 {
             return decode();
         }
-        let known =
-            self.picture.take().filter(|(file, parts, _)| *file == frame.file && *parts == frame.parts);
-        let picture = match known {
-            Some((.., picture)) => picture,
+        // A file with a mosaic has no other picture.
+        let known = self.mosaic.take().filter(|mosaic| mosaic.file == frame.file);
+        let bytes = match known {
+            Some(mosaic) => mosaic.bytes,
             None => decode()?,
         };
-        let slice = pixels::tile(&picture, frame, &self.shape);
-        self.picture = Some((frame.file, frame.parts.clone(), picture));
+        let slice = pixels::tile(&bytes, frame, &self.shape);
+        self.mosaic = Some(DecodedMosaic { file: frame.file, bytes });
         Ok(slice)
     }
 

@@ -273,7 +273,7 @@ impl Series {
         };
         let tilt_deg = tilt_deg(stack, directions.map(|d| d.2));
         let is_tilted = tilt_deg > MAX_TILT_DEG;
-        let is_even = gaps.as_ref().is_none_or(Gaps::are_even) && !is_tilted;
+        let is_even = !gaps.as_ref().is_some_and(Gaps::need_resampling) && !is_tilted;
         let resampling =
             gaps.as_ref().filter(|_| !is_even && !is_stored && self.shape.colors == Colors::Gray);
         let resampling = resampling.and_then(|gaps| {
