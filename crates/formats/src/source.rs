@@ -138,8 +138,8 @@ pub fn source_exists(source: &str) -> bool {
     source.starts_with("builtin:") || path_of(source).is_ok_and(|path| path.exists())
 }
 
-/// The path that `source` names. Some names are no UTF-8. They have � in place of what is not, and the file whose name
-/// reads so is meant.
+/// The path that `source` names. Some names are no UTF-8. They have � in place of what is not, and the file whose
+/// name reads so is meant.
 fn path_of(source: &str) -> Result<PathBuf, FormatError> {
     let path = Path::new(source);
     if path.exists() {

@@ -280,8 +280,8 @@ impl DicomFiles {
         self.frames[index].scale.value(number) as f32
     }
 
-    /// The numbers of a frame as the plan has them, but NaN outside of the picture. `outside` becomes the number that is
-    /// to stand there.
+    /// The numbers of a frame as the plan has them, but NaN outside of the picture. `outside` becomes the number that
+    /// is to stand there.
     fn numbers(&mut self, index: usize, outside: &mut Option<f32>) -> Result<Vec<f32>, FormatError> {
         let bytes = self.decode(index)?;
         let padding = self.frames[index].padding;

@@ -45,8 +45,8 @@ impl Mosaic {
         Some(Self { per_side, num_slices, normal, positions })
     }
 
-    /// The position of slice `i`. `corner` is that of the whole picture. `across` and `down` lead from one of its edges
-    /// to the other. `step` leads along the normal to the next slice.
+    /// The position of slice `i`. `corner` is that of the whole picture. `across` and `down` lead from one of its
+    /// edges to the other. `step` leads along the normal to the next slice.
     pub(super) fn position(&self, i: usize, corner: DVec3, across: DVec3, down: DVec3, step: DVec3) -> DVec3 {
         if let Some(positions) = &self.positions {
             return positions[i];

@@ -7,8 +7,8 @@ use super::gaps::Gaps;
 /// How stored slices become shown ones.
 #[derive(Clone, Debug)]
 pub(super) struct Resampling {
-    /// For each shown slice: the stored ones below and above, and how much the one above counts. Nothing lies in a gap
-    /// between blocks.
+    /// For each shown slice: the stored ones below and above, and how much the one above counts. Nothing lies in a
+    /// gap between blocks.
     slices: Vec<Option<(usize, usize, f32)>>,
     /// Columns and rows by which each stored slice is shifted in the shown volume.
     shifts: Vec<[f64; 2]>,
@@ -22,8 +22,8 @@ pub(super) struct Resampling {
 }
 
 impl Resampling {
-    /// `places` are positions along the normal, with their `gaps`. `offsets` say how far each slice is shifted against
-    /// the first one, in columns and rows. Returns `None` if the result has too many voxels along a side.
+    /// `places` are positions along the normal, with their `gaps`. `offsets` say how far each slice is shifted
+    /// against the first one, in columns and rows. Returns `None` if the result has too many voxels along a side.
     pub(super) fn of(places: &[f64], gaps: &Gaps, offsets: &[[f64; 2]], stored: [usize; 2]) -> Option<Self> {
         let max = f64::from(Volume::MAX_SIDE);
         let (count, distance) = gaps.even_slices();

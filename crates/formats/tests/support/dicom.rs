@@ -38,8 +38,8 @@ pub(crate) fn file(syntax: &str, mut elements: Vec<Vec<u8>>, frames: &[u16]) -> 
     with_pixels(syntax, elements, &element((0x7fe0, 0x0010), "OW", &pixels))
 }
 
-/// A file of these elements, which are put in order, and of this element with its pixels. Frames have 2×2 pixels of 16
-/// bits, unless the elements say otherwise.
+/// A file of these elements, which are put in order, and of this element with its pixels. Frames have 2×2 pixels of
+/// 16 bits, unless the elements say otherwise.
 pub(crate) fn with_pixels(syntax: &str, mut elements: Vec<Vec<u8>>, pixels: &[u8]) -> Vec<u8> {
     let short = |number, value: u16| element((0x0028, number), "US", &value.to_le_bytes());
     elements.extend([

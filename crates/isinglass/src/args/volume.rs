@@ -21,8 +21,8 @@ use crate::memory::MemoryArgs;
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
     /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH, NumPy, PNG), also in
-    /// gzip or ZIP, a raw file with --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N
-    /// voxels a side)
+    /// gzip or ZIP, a raw file with --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for
+    /// N voxels a side)
     #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>, value_parser = any_text())]
     pub(crate) volume: Option<String>,
     #[command(flatten)]
