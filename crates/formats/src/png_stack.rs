@@ -18,12 +18,12 @@ use crate::warning::WarningKind;
 pub(crate) struct PngStack {
     plan: Plan,
     files: Vec<PathBuf>,
-    shape: Shape,
+    shape: PictureShape,
 }
 
 /// The common properties of all pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Shape {
+struct PictureShape {
     width: u32,
     height: u32,
     samples: u8,
@@ -70,7 +70,7 @@ impl VolumeFile for PngStack {
     }
 
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
-        let Shape { width, height, samples, .. } = self.shape;
+        let PictureShape { width, height, samples, .. } = self.shape;
         let in_slice = u64::from(width) * u64::from(height) * u64::from(samples);
         for path in &self.files {
             if collector.is_done() {
@@ -98,7 +98,7 @@ impl VolumeFile for PngStack {
 }
 
 /// A reader at the first row of a picture. Palettes and less than 8 bits become plain numbers.
-fn reader(path: &Path) -> Result<(Reader<BufReader<std::fs::File>>, Shape), FormatError> {
+fn reader(path: &Path) -> Result<(Reader<BufReader<std::fs::File>>, PictureShape), FormatError> {
     let file = BufReader::new(open_file(path)?);
     let mut decoder = Decoder::new_with_limits(file, Limits { bytes: MAX_BYTES });
     decoder.set_transformations(Transformations::EXPAND);
@@ -113,7 +113,7 @@ fn reader(path: &Path) -> Result<(Reader<BufReader<std::fs::File>>, Shape), Form
     };
     let info = reader.info();
     let shape =
-        Shape { width: info.width, height: info.height, samples, is_wide: depth == BitDepth::Sixteen };
+        PictureShape { width: info.width, height: info.height, samples, is_wide: depth == BitDepth::Sixteen };
     Ok((reader, shape))
 }
 
