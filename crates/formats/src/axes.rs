@@ -36,8 +36,13 @@ impl Geometry {
     /// The same directions with these distances along x, y and z of the volume.
     pub(crate) fn with_spacing(&self, spacing: Vec3) -> Result<Self, String> {
         let mut geometry = self.clone();
-        for (k, (axis, _)) in order(self.steps)?.into_iter().enumerate() {
-            geometry.steps[axis] = self.steps[axis].normalize() * f64::from(spacing[k]);
+        // A step without length has no direction, and is taken as along its own axis.
+        let has_length = |v: DVec3| v.length().is_finite() && v.length() > 0.0;
+        geometry.steps =
+            std::array::from_fn(|i| if has_length(self.steps[i]) { self.steps[i] } else { DVec3::AXES[i] });
+        let steps = geometry.steps;
+        for (k, (axis, _)) in order(steps)?.into_iter().enumerate() {
+            geometry.steps[axis] = steps[axis].normalize() * f64::from(spacing[k]);
         }
         Ok(geometry)
     }
@@ -74,7 +79,10 @@ impl Grid {
     ) -> Result<Self, String> {
         let steps = geometry.steps;
         if !steps.iter().all(|v| v.length().is_finite() && v.length() > 0.0) {
-            return Err(format!("steps between voxels are {steps:?}, expected finite lengths above zero"));
+            let [x, y, z] = steps.map(DVec3::length);
+            return Err(format!(
+                "the distances of voxels along its axes are {x}, {y} and {z}, expected finite numbers above zero; --spacing replaces them"
+            ));
         }
         let order = order(steps)?;
         let ranges = ranges(file_dims, order, region)?;

@@ -5,9 +5,10 @@ use std::io::Read;
 use std::path::Path;
 
 use crate::error::FormatError;
+use crate::packed::inside_gzip;
 use crate::sniff::{self, FileKind};
 use crate::state::is_state;
-use crate::{error, nifti, zarr};
+use crate::{error, zarr};
 
 /// What a file or folder is, judged by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,16 +52,27 @@ fn of_start(start: &[u8], path: &Path) -> Content {
     match sniff::kind_of(start, path) {
         FileKind::Nrrd => Content::Volume("NRRD"),
         FileKind::Nifti => Content::Volume("NIfTI"),
-        FileKind::Gzip if is_nifti_in_gzip(start) => Content::Volume("NIfTI"),
-        FileKind::Gzip => Content::Other("gzip data"),
+        FileKind::Gzip => {
+            let (inside, name) = inside_gzip(start, path);
+            match of_start(&inside, &name) {
+                found @ Content::Volume(_) if !matches!(sniff::kind_of(&inside, &name), FileKind::Zip) => {
+                    found
+                }
+                _ => Content::Other("gzip data"),
+            }
+        }
         FileKind::MetaImage => Content::Volume("MetaImage"),
         FileKind::Npy => Content::Volume("NumPy"),
         FileKind::Zip if ends_with(".npz") => Content::Volume("NumPy"),
+        FileKind::Zip if ends_with(".zip") || ends_with(".ozx") => Content::Volume("ZIP"),
         FileKind::Zip => Content::Other("a ZIP archive"),
         FileKind::Mrc => Content::Volume("MRC"),
         FileKind::Tiff => Content::Volume("TIFF"),
         FileKind::Dicom => Content::Volume("DICOM"),
         FileKind::Vti => Content::Volume("VTI"),
+        FileKind::Vtk => Content::Volume("VTK"),
+        FileKind::Mgh => Content::Volume("MGH"),
+        FileKind::Png => Content::Other("a PNG picture"),
         FileKind::Other("an XML document of another kind") => Content::Text,
         FileKind::Other("no header that is known") if is_text(start) => match is_state(start) {
             true => Content::State,
@@ -68,13 +80,6 @@ fn of_start(start: &[u8], path: &Path) -> Content {
         },
         FileKind::Other(found) => Content::Other(found),
     }
-}
-
-fn is_nifti_in_gzip(start: &[u8]) -> bool {
-    let mut inside = Vec::new();
-    // The data end in the middle of the stream, so an error at the end is expected.
-    let _ = flate2::read::MultiGzDecoder::new(start).take(NIFTI_HEADER_BYTES).read_to_end(&mut inside);
-    nifti::is_header(&inside)
 }
 
 /// Whether the bytes are printable UTF-8. The last character may be cut.
@@ -88,8 +93,6 @@ fn is_text(start: &[u8]) -> bool {
     };
     !text.is_empty() && !text.chars().any(|c| c.is_control() && !c.is_whitespace())
 }
-
-const NIFTI_HEADER_BYTES: u64 = 352;
 
 #[cfg(test)]
 mod tests {
@@ -118,6 +121,16 @@ mod tests {
             ("a.nii", nifti.clone(), Content::Volume("NIfTI")),
             ("a.gz", gzip(&nifti), Content::Volume("NIfTI")),
             ("b.nii.gz", gzip(&[7; 4000]), Content::Other("gzip data")),
+            ("a.nhdr.gz", gzip(b"NRRD0004\n"), Content::Volume("NRRD")),
+            ("a.mgz", gzip(&[0, 0, 0, 1, 0, 0, 0, 5]), Content::Volume("MGH")),
+            ("a.gz", gzip(&[0, 0, 0, 1, 0, 0, 0, 5]), Content::Other("gzip data")),
+            ("a.zip", b"PK\x03\x04".to_vec(), Content::Volume("ZIP")),
+            ("a.vtk", b"# vtk DataFile Version 3.0\n".to_vec(), Content::Volume("VTK")),
+            (
+                "p.nrrd",
+                b"version https://git-lfs.github.com/spec/v1\n".to_vec(),
+                Content::Other(sniff::LFS_NAME),
+            ),
             ("a.npz", b"PK\x03\x04".to_vec(), Content::Volume("NumPy")),
             ("a.docx", b"PK\x03\x04".to_vec(), Content::Other("a ZIP archive")),
             ("a.toml", "name = \"µ\"\n".into(), Content::Text),

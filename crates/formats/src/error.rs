@@ -87,6 +87,14 @@ pub enum FormatError {
         /// The name of the file, quoted.
         name: String,
     },
+    /// A file that a header names is missing.
+    #[error("{path}: its data file {name} is missing; expected it beside the header")]
+    MissingData {
+        /// The header.
+        path: String,
+        /// The name of the file, quoted.
+        name: String,
+    },
     /// The voxels cannot be decoded.
     #[error("{path}: voxels: {problem}")]
     Data {
@@ -155,6 +163,34 @@ pub enum FormatError {
         /// What is wrong.
         cause: TransferError,
     },
+}
+
+impl FormatError {
+    /// The same error about what was unpacked from `owner` into `folder`. A file inside is named behind its owner.
+    pub(crate) fn named_within(mut self, folder: &Path, owner: &Path) -> Self {
+        let (Self::Io { path, .. }
+        | Self::Unsupported { path, .. }
+        | Self::Header { path, .. }
+        | Self::Malformed { path, .. }
+        | Self::Selection { path, .. }
+        | Self::Cancelled { path }
+        | Self::Short { path, .. }
+        | Self::Foreign { path, .. }
+        | Self::MissingData { path, .. }
+        | Self::Data { path, .. }
+        | Self::TooLarge { path, .. }
+        | Self::Volume { path, .. }
+        | Self::Syntax { path, .. }
+        | Self::State { path, .. }
+        | Self::Transfer { path, .. }) = &mut self
+        else {
+            return self;
+        };
+        if let Some(inner) = path.strip_prefix(&shown(folder)) {
+            *path = format!("{}{}", shown(owner), inner.replace('\\', "/"));
+        }
+        self
+    }
 }
 
 /// What is wrong with an NRRD header.

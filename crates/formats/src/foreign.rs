@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use crate::error::{FormatError, quoted, shown};
-use crate::source::{OpenOptions, file_name};
+use crate::sniff;
+use crate::source::{OpenOptions, file_name, read_start};
 
 /// The folder that data files must be in.
 pub(crate) struct HomeFolder {
@@ -41,6 +42,23 @@ impl HomeFolder {
     pub(crate) fn file(&self, name: &str) -> Result<PathBuf, FormatError> {
         let path = self.folder.join(name);
         if self.holds(&path) { Ok(path) } else { Err(self.refusal(name)) }
+    }
+
+    /// The same for a file that has voxels and must be there.
+    ///
+    /// # Errors
+    /// It is outside the folder, missing, or a pointer of Git LFS.
+    pub(crate) fn data_file(&self, name: &str) -> Result<PathBuf, FormatError> {
+        let path = self.file(name)?;
+        if !path.exists() {
+            return Err(FormatError::MissingData { path: shown(&self.owner), name: quoted(name) });
+        }
+        // A short file may have enough bytes for a small volume.
+        if read_start(&path).is_some_and(|start| sniff::is_lfs_pointer(&start)) {
+            let (found, expected) = (sniff::LFS_NAME, sniff::expected_for(sniff::LFS_NAME));
+            return Err(FormatError::Unsupported { path: shown(&path), found, expected });
+        }
+        Ok(path)
     }
 
     /// Refuses a file of the folder if its path leads outside.

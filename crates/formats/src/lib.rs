@@ -11,6 +11,7 @@
 //! allocated. Every error is one line that names the file, what was expected and what was found. This crate draws
 //! nothing and knows no network.
 
+mod alike;
 mod axes;
 mod collector;
 mod content;
@@ -26,6 +27,7 @@ mod hyperslab;
 pub mod iglf;
 mod loading;
 mod metaimage;
+mod mgh;
 pub mod movie;
 mod mrc;
 mod nifti;
@@ -33,8 +35,10 @@ mod npy;
 mod nrrd;
 mod outline;
 mod output;
+mod packed;
 mod plan;
 pub mod png;
+mod png_stack;
 mod presets;
 mod raw;
 mod recent;
@@ -54,6 +58,7 @@ mod transfer_maps;
 mod units;
 mod volume_source;
 mod vti;
+mod vtk;
 mod warning;
 mod xml;
 mod zarr;
@@ -73,7 +78,7 @@ pub use remembered::Remembered;
 pub use scene::{OpenedScene, open_scene, scene_of};
 pub use selection::{Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
-pub use source::{OpenOptions, open, outline};
+pub use source::{OpenOptions, open, outline, source_exists};
 pub use state::{
     MAX_LINK_BYTES, MAX_MEASURE_POINTS, MAX_MEASURES, MAX_STATE_BYTES, MAX_VIEWS, MeasureKind, NamedView,
     ReadState, SavedCamera, SavedMeasure, SavedPlane, SavedSlices, SavedState, SavedView, SavedVolume, Srgb,

@@ -29,6 +29,8 @@ pub struct LoadRequest {
     pub max_bytes: u64,
     /// Whether a header may name files outside its own folder.
     pub foreign_files: bool,
+    /// Whether slices stay as they are stored, as for [`OpenOptions::stored_slices`].
+    pub stored_slices: bool,
 }
 
 impl LoadRequest {
@@ -59,11 +61,21 @@ impl Loading {
         let (sender, result) = mpsc::sync_channel(1);
         let theirs = Arc::clone(&shared);
         thread::spawn(move || {
-            let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files } = request;
+            let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices } =
+                request;
             let progress = |fraction: f32| theirs.progress.store(fraction.to_bits(), Ordering::Relaxed);
             let cancel = Some(&theirs.cancel);
             let progress = Some(&progress as &dyn Fn(f32));
-            let options = OpenOptions { raw, selection, spacing, max_bytes, foreign_files, progress, cancel };
+            let options = OpenOptions {
+                raw,
+                selection,
+                spacing,
+                max_bytes,
+                foreign_files,
+                stored_slices,
+                progress,
+                cancel,
+            };
             // A panic must not leave the window waiting.
             let opened = catch_unwind(AssertUnwindSafe(|| open(&source, &options)));
             let opened = opened.unwrap_or_else(|_| {

@@ -64,7 +64,7 @@ impl MetaImageFile {
             None => Data::Local(start),
             Some(names) => {
                 let home = HomeFolder::of_header(path, options);
-                Data::Files(names.iter().map(|name| home.file(name)).collect::<Result<_, _>>()?)
+                Data::Files(names.iter().map(|name| home.data_file(name)).collect::<Result<_, _>>()?)
             }
         };
         let is_text = fields.flag(&["BinaryData"]).map_err(bad)? == Some(false);

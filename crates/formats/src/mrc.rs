@@ -128,7 +128,11 @@ fn plan(w: HeaderBytes, endian: Endian) -> Result<Plan, String> {
     let spacing = if is_good { spacing } else { [1.0; 3] };
     let angles = [52, 56, 60].map(|at| w.f32(at));
     if is_good && angles.iter().any(|a| *a != 0.0 && (a - 90.0).abs() > 0.5) {
-        plan.warn(WarningKind::Geometry, format!("the cell has angles of {angles:?}°, which are not shown"));
+        let [a, b, c] = angles;
+        plan.warn(
+            WarningKind::Geometry,
+            format!("the cell has angles of {a}, {b} and {c}°, which are not shown"),
+        );
     }
     let origin = [196, 200, 204].map(|at| f64::from(w.f32(at)));
     let start = [16, 20, 24].map(|at| f64::from(w.i32(at)));

@@ -12,11 +12,10 @@ use glam::DVec3;
 use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, malformed, shown};
+use crate::error::{FormatError, io_error, malformed};
 use crate::foreign::HomeFolder;
 use crate::header_bytes::HeaderBytes;
 use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
-use crate::sniff::{expected_for, gzip_name};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
@@ -65,9 +64,7 @@ impl NiftiFile {
         start.take_start(HEADER_2_BYTES).read_to_end(&mut bytes).map_err(io_error(path))?;
         let bad = malformed(path, "NIfTI header");
         let Some((version, endian, is_pair)) = version(&bytes) else {
-            let found = gzip_name(path);
-            let expected = expected_for(found);
-            return Err(FormatError::Unsupported { path: shown(path), found, expected });
+            return Err(bad("its mark is missing".into()));
         };
         let words = HeaderBytes { bytes: &bytes, endian };
         let header_bytes = if version == 1 { HEADER_1_BYTES } else { HEADER_2_BYTES };
@@ -108,12 +105,11 @@ impl VolumeFile for NiftiFile {
 
 /// The image beside a header. It has the same name with `.img`, plain or gzip.
 fn image_of(header: &Path) -> Option<(PathBuf, Packing)> {
-    let name = header.to_str()?;
-    let stem = name.strip_suffix(".gz").unwrap_or(name);
-    let stem = stem.get(..stem.len().checked_sub(4)?)?;
-    let found = |end: &str| Some(PathBuf::from(format!("{stem}{end}"))).filter(|p| p.is_file());
-    let plain = found(".img").or_else(|| found(".IMG")).map(|p| (p, Packing::Plain));
-    plain.or_else(|| found(".img.gz").map(|p| (p, Packing::Gzip)))
+    let is_packed = header.extension().is_some_and(|e| e.eq_ignore_ascii_case("gz"));
+    let stem = if is_packed { header.with_extension("") } else { header.to_owned() };
+    let found = |end: &str| Some(stem.with_extension(end)).filter(|p| p.is_file());
+    let plain = found("img").or_else(|| found("IMG")).map(|p| (p, Packing::Plain));
+    plain.or_else(|| found("img.gz").map(|p| (p, Packing::Gzip)))
 }
 
 /// The relevant fields of both versions.

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
+use crate::error::{FormatError, io_error, malformed, not_there, quoted};
 use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
@@ -88,11 +88,7 @@ impl NpyFile {
         let Some((_, mut plan, place, skip)) = arrays.into_iter().nth(index) else {
             return Err(match (names.len(), first_problem) {
                 (0, Some(problem)) => problem,
-                (0, None) => FormatError::Unsupported {
-                    path: shown(path),
-                    found: "a ZIP archive without NumPy arrays",
-                    expected: "what is in it: unpack it, and open the file or folder",
-                },
+                (0, None) => bad("it has no arrays".into()),
                 (found, _) => not_there(path, "channel", index as u64, found),
             });
         };

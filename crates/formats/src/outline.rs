@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use isinglass_core::volume::VolumeLabel;
+
 use crate::selection::Selection;
 use crate::warning::Warning;
 
@@ -51,6 +53,9 @@ pub struct Outline {
     /// Unit of the values, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value_unit: Option<String>,
+    /// What the values mean, if they are labels.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub labels: Vec<VolumeLabel>,
     /// Centre of the volume in the world of the file, which is RAS+ for a body; `None` if unknown.
     pub center: Option<[f64; 3]>,
     /// Directions of x, y and z in that world, if known.
@@ -105,6 +110,13 @@ impl fmt::Display for Outline {
         for (i, series) in self.series.iter().enumerate() {
             writeln!(f, "  series {i:<5} {series}")?;
         }
+        for VolumeLabel { value, name, color } in self.labels.iter().take(MAX_LABELS) {
+            let color = color.map_or(String::new(), |[r, g, b]| format!(" #{r:02x}{g:02x}{b:02x}"));
+            writeln!(f, "  label {value:<6} {name}{color}")?;
+        }
+        if self.labels.len() > MAX_LABELS {
+            writeln!(f, "  labels       {} more", self.labels.len() - MAX_LABELS)?;
+        }
         if let Some(modality) = &self.modality {
             writeln!(f, "  modality     {modality}")?;
         }
@@ -121,3 +133,5 @@ impl fmt::Display for Outline {
 
 /// Most channels in a line.
 const MAX_NAMED: usize = 16;
+/// Most labels that are listed.
+const MAX_LABELS: usize = 64;

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use isinglass_core::volume::{Volume, VolumeInfo};
+use isinglass_core::volume::{Volume, VolumeInfo, VolumeLabel};
 
 use crate::axes::{Geometry, Grid};
 use crate::collector::Collector;
@@ -69,6 +69,8 @@ pub(crate) struct Plan {
     pub(crate) value_unit: Option<String>,
     /// The values between which the file shows each channel, if it says so.
     pub(crate) windows: Vec<Option<(f64, f64)>>,
+    /// What the values mean, if they are labels.
+    pub(crate) labels: Vec<VolumeLabel>,
     /// The warning if neither the file nor the options have a spacing.
     pub(crate) spacing_guess: Option<String>,
     /// Whether a float that is not a number is a voxel without a value. In a raw file, it hints at a wrong type
@@ -104,6 +106,7 @@ impl Plan {
             modality: None,
             value_unit: None,
             windows: Vec::new(),
+            labels: Vec::new(),
             spacing_guess: None,
             has_gaps: true,
             warnings: Vec::new(),
@@ -231,6 +234,7 @@ impl Plan {
             series: self.series.clone(),
             modality: self.modality.clone(),
             value_unit: self.value_unit.clone(),
+            labels: self.labels.clone(),
             center: grid.placement.map(|p| p.center),
             directions: grid.placement.map(|p| p.axes),
             // The brightness of each voxel takes one byte more, as in `Volume::bytes_in_memory`.
@@ -291,6 +295,7 @@ pub(crate) fn read_volume(
         modality: plan.modality.clone(),
         value_unit: plan.value_unit.clone(),
         window: plan.windows.get(chosen.channel as usize).copied().flatten().and_then(window),
+        labels: plan.labels.clone(),
         warnings: warnings.into_iter().map(|w| w.text).collect(),
     };
     let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));

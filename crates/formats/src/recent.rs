@@ -143,6 +143,7 @@ struct StoredEntry {
     series: Option<u32>,
     region: Option<String>,
     spacing: Option<[f32; 3]>,
+    stored_slices: Option<bool>,
     raw: Option<RawShape>,
 }
 
@@ -167,6 +168,7 @@ impl StoredEntry {
             series,
             region: region.map(|r| r.to_string()),
             spacing: volume.and_then(|v| v.spacing).map(Vec3::into),
+            stored_slices: volume.is_some_and(|v| v.stored_slices).then_some(true),
             raw: volume.and_then(|v| v.raw),
         }
     }
@@ -188,7 +190,9 @@ impl StoredEntry {
                 let region = self.region.and_then(|r| r.parse::<Region>().ok());
                 let selection = Selection { channel, time, level, series, region };
                 let spacing = spacing.map(Vec3::from);
-                let volume = VolumeSource { raw, selection, spacing, ..VolumeSource::new(source) };
+                let stored_slices = self.stored_slices == Some(true);
+                let volume =
+                    VolumeSource { raw, selection, spacing, stored_slices, ..VolumeSource::new(source) };
                 RecentPlace::Volume(Some(volume).filter(VolumeSource::is_finite)?)
             }
             _ => return None,
@@ -247,8 +251,12 @@ mod tests {
             offset: 512,
         };
         let spacing = Some(Vec3::new(0.1, 0.2, 3.0));
-        let place =
-            RecentPlace::Volume(VolumeSource { raw: Some(raw), spacing, ..VolumeSource::new(source) });
+        let place = RecentPlace::Volume(VolumeSource {
+            raw: Some(raw),
+            spacing,
+            stored_slices: true,
+            ..VolumeSource::new(source)
+        });
         RecentEntry { place, shows: "a scan".into(), used_at: 8 }
     }
 

@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use crate::{dicom, metaimage, mrc, nifti, npy};
+use crate::{dicom, metaimage, mgh, mrc, nifti, npy, vtk};
 
 /// The format of a file, judged by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FileKind {
     Nrrd,
     Nifti,
-    /// Gzip data: a NIfTI file or anything else.
+    /// Gzip data of any format.
     Gzip,
     MetaImage,
     Npy,
@@ -18,6 +18,9 @@ pub(crate) enum FileKind {
     Tiff,
     Dicom,
     Vti,
+    Vtk,
+    Mgh,
+    Png,
     /// An unsupported format, with a description.
     Other(&'static str),
 }
@@ -25,7 +28,17 @@ pub(crate) enum FileKind {
 impl FileKind {
     /// Whether a single file of this format is a volume.
     pub(crate) fn is_whole_volume(self) -> bool {
-        matches!(self, Self::Nrrd | Self::Nifti | Self::MetaImage | Self::Npy | Self::Mrc | Self::Vti)
+        matches!(
+            self,
+            Self::Nrrd
+                | Self::Nifti
+                | Self::MetaImage
+                | Self::Npy
+                | Self::Mrc
+                | Self::Vti
+                | Self::Vtk
+                | Self::Mgh
+        )
     }
 
     /// The name of such a file in a message.
@@ -40,7 +53,9 @@ impl FileKind {
             Self::Mrc => "an MRC file",
             Self::Tiff => "a TIFF file",
             Self::Dicom => "a DICOM file",
-            Self::Vti => "a VTK file",
+            Self::Vti | Self::Vtk => "a VTK file",
+            Self::Mgh => "a FreeSurfer MGH volume",
+            Self::Png => "a PNG picture",
             Self::Other(name) => name,
         }
     }
@@ -51,6 +66,8 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     match () {
         () if start.is_empty() => FileKind::Other("an empty file"),
+        // Before the mark is a preamble, which may look like a file of another kind.
+        () if is_at(128, b"DICM") => FileKind::Dicom,
         () if is_at(0, b"NRRD") => FileKind::Nrrd,
         () if is_at(0, &[0x1f, 0x8b]) => FileKind::Gzip,
         () if [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| is_at(0, *magic)) => FileKind::Tiff,
@@ -59,6 +76,9 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
         () if metaimage::is_header(start) => FileKind::MetaImage,
         () if is_at(0, npy::MAGIC) => FileKind::Npy,
         () if is_at(0, b"PK\x03\x04") || is_at(0, b"PK\x05\x06") => FileKind::Zip,
+        () if is_at(0, vtk::MAGIC) => FileKind::Vtk,
+        () if is_at(0, b"\x89PNG") => FileKind::Png,
+        () if mgh::is_header(start, path) => FileKind::Mgh,
         () if mrc::is_header(start, path) => FileKind::Mrc,
         () if dicom::is_header(start) => FileKind::Dicom,
         () => FileKind::Other(named(start, path).unwrap_or_else(|| other_name(start))),
@@ -69,23 +89,23 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
 fn named(start: &[u8], path: &Path) -> Option<&'static str> {
     let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_ascii_lowercase();
     match () {
-        // All MGH files begin with the version 1, the highest byte first.
-        () if name.ends_with(".mgh") && start.starts_with(&[0, 0, 0, 1]) => Some(MGH),
-        () if name.ends_with(".img") && path.with_extension("hdr").is_file() => {
-            Some("voxels of a pair of files")
-        }
-        () if name.ends_with(".img") => Some("voxels without their .hdr file"),
+        () if name.ends_with(".img") && path.with_extension("hdr").is_file() => Some(PAIR),
+        () if name.ends_with(".img") && !is_lfs_pointer(start) => Some("voxels without their .hdr file"),
         () => None,
     }
 }
 
-/// A description of gzip data at `path` that is not NIfTI.
+/// Whether a file is a pointer to one that Git keeps elsewhere.
+pub(crate) fn is_lfs_pointer(start: &[u8]) -> bool {
+    start.starts_with(LFS)
+}
+
+/// A description of gzip data at `path` of an unknown format.
 pub(crate) fn gzip_name(path: &Path) -> &'static str {
     let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_ascii_lowercase();
     match () {
-        () if name.ends_with(".mgz") || name.ends_with(".mgh.gz") => MGH,
         () if name.ends_with(".tar.gz") || name.ends_with(".tgz") => "a packed folder (tar)",
-        () => "gzip data that is no NIfTI file",
+        () => "gzip data of an unknown format",
     }
 }
 
@@ -98,14 +118,13 @@ pub(crate) fn expected_for(found: &str) -> &'static str {
 fn other_name(start: &[u8]) -> &'static str {
     let is_at = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
     match () {
-        () if is_at(0, b"# vtk") => "a legacy VTK file",
+        () if is_lfs_pointer(start) => LFS_NAME,
         () if (is_at(0, b"<?xml") || is_at(0, b"<OME")) && contains(start, b"<OME") => {
             "the description of an OME-TIFF"
         }
         () if is_at(0, b"<?xml") => "an XML document of another kind",
         () if is_at(0, b"IGLF") => "a stored layered frame",
         () if is_at(0, b"\x89HDF") => "an HDF5 file",
-        () if is_at(0, b"\x89PNG") => "a PNG picture",
         () if is_at(0, &[0xff, 0xd8, 0xff]) => "a JPEG picture",
         () if is_at(0, b"CDF") => "a netCDF file",
         () if is_at(0, b"BZh") || is_at(0, b"\xfd7zXZ") || is_at(0, b"\x28\xb5\x2f\xfd") => "compressed data",
@@ -124,13 +143,16 @@ fn contains(bytes: &[u8], word: &[u8]) -> bool {
     bytes.windows(word.len()).any(|w| w == word)
 }
 
-const MGH: &str = "a FreeSurfer MGH volume";
+/// Voxels beside their header, which is opened instead.
+pub(crate) const PAIR: &str = "voxels of a pair of files";
+/// The first bytes of a pointer.
+const LFS: &[u8] = b"version https://git-lfs.github.com/spec/";
+pub(crate) const LFS_NAME: &str = "a Git LFS pointer in place of the file";
 
 /// How a user converts unsupported files.
-const WAYS: [(&str, &str); 10] = [
-    (MGH, "NIfTI, which `mri_convert FILE FILE.nii.gz` makes of it"),
+const WAYS: [(&str, &str); 9] = [
+    (LFS_NAME, "the file itself, which `git lfs pull` fetches"),
     ("an Analyze header", "NIfTI, which `nib-convert FILE.hdr FILE.nii` (nibabel) makes of it"),
-    ("voxels of a pair of files", "the .hdr file beside it"),
     ("voxels without their .hdr file", "the .hdr file, with the .img beside it"),
     ("a Zeiss CZI file", BIO_FORMATS),
     ("a Leica LIF file", BIO_FORMATS),
@@ -142,7 +164,7 @@ const WAYS: [(&str, &str); 10] = [
 
 const BIO_FORMATS: &str = "OME-TIFF, which `bfconvert FILE FILE.ome.tif` (Bio-Formats) makes of it";
 
-pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTI, MRC, NumPy or OME-Zarr, or raw voxels with their dimensions and type given";
+pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTK image, MRC, MGH, NumPy or OME-Zarr, slices in a folder, or raw voxels with their dimensions and type given";
 
 /// Bytes that are enough to recognise all formats.
 pub(crate) const SNIFFED_BYTES: u64 = 1024;

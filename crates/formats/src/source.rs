@@ -18,7 +18,7 @@ use crate::plan::{Axis, Plan, VolumeFile, read_volume};
 use crate::raw::RawShape;
 use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
-use crate::{dicom, metaimage, mrc, nifti, npy, nrrd, raw, tiff, vti, zarr};
+use crate::{dicom, metaimage, mgh, mrc, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr};
 
 /// How to open a volume.
 #[derive(Clone, Copy)]
@@ -33,6 +33,8 @@ pub struct OpenOptions<'a> {
     pub max_bytes: u64,
     /// Whether a header may name files outside its own folder, and links in a folder may lead outside.
     pub foreign_files: bool,
+    /// Whether the slices of a DICOM series stay as they are stored, even if they are uneven, missing or tilted.
+    pub stored_slices: bool,
     /// Called now and then with the fraction that has been read, 0 to 1.
     pub progress: Option<&'a dyn Fn(f32)>,
     /// Set this flag to stop reading.
@@ -47,6 +49,7 @@ impl Default for OpenOptions<'_> {
             spacing: None,
             max_bytes: DEFAULT_MAX_BYTES,
             foreign_files: false,
+            stored_slices: false,
             progress: None,
             cancel: None,
         }
@@ -82,7 +85,7 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
     match source.strip_prefix("builtin:") {
         Some(name) => open_builtin(name, options),
         None => {
-            let path = Path::new(source);
+            let path = &path_of(source)?;
             read_volume(open_path(path, options)?, path, options)
         }
     }
@@ -102,6 +105,7 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
         let plan = Plan::new("built-in volume", Dtype::Uint8, Endian::Little, axes, geometry);
         return Ok(plan.outline(path, &plan.choose(path, options)?, options));
     }
+    let path = &path_of(source)?;
     let file = open_path(path, options)?;
     let chosen = file.plan().choose(path, options)?;
     Ok(file.plan().outline(path, &chosen, options))
@@ -129,8 +133,45 @@ fn builtin(name: &str) -> Result<(Builtin, u32), FormatError> {
     Ok((builtin, side))
 }
 
+/// Whether `source` is a built-in volume, or names a file or folder that exists. This may wait for a disk.
+pub fn source_exists(source: &str) -> bool {
+    source.starts_with("builtin:") || path_of(source).is_ok_and(|path| path.exists())
+}
+
+/// The path that `source` names. Some names are no UTF-8. They have � in place of what is not, and the file whose
+/// name reads so is meant.
+fn path_of(source: &str) -> Result<PathBuf, FormatError> {
+    let path = Path::new(source);
+    if path.exists() {
+        return Ok(path.to_owned());
+    }
+    if source.split_once("://").is_some_and(|(scheme, _)| scheme.chars().all(|c| c.is_ascii_alphanumeric())) {
+        return Err(FormatError::Unsupported {
+            path: shown(path),
+            found: "an address",
+            expected: "the path of a file or folder on the machine that reads it",
+        });
+    }
+    if !source.contains(char::REPLACEMENT_CHARACTER) {
+        return Ok(path.to_owned());
+    }
+    let mut found = PathBuf::new();
+    for part in path.components() {
+        let next = found.join(part);
+        let name = part.as_os_str().to_string_lossy();
+        let folder = if found.as_os_str().is_empty() { Path::new(".") } else { &found };
+        let reads_so = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy() == name;
+        let other = || std::fs::read_dir(folder).ok()?.flatten().find(reads_so);
+        found = match if next.exists() { None } else { other() } {
+            Some(entry) => found.join(entry.file_name()),
+            None => next,
+        };
+    }
+    Ok(found)
+}
+
 /// Reads the header of the file or folder at `path`.
-fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
+pub(crate) fn open_path(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile>, FormatError> {
     if path.is_dir() && options.raw.is_none() {
         return open_folder(path, options);
     }
@@ -142,7 +183,7 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
     let unsupported = |found, expected| FormatError::Unsupported { path: shown(path), found, expected };
     if let Some(shape) = &options.raw {
         return match kind {
-            FileKind::Other(_) | FileKind::Gzip | FileKind::Mrc | FileKind::Zip => {
+            FileKind::Other(_) | FileKind::Gzip | FileKind::Mrc | FileKind::Zip | FileKind::Png => {
                 Ok(Box::new(raw::RawFile::open(file, path, shape)?))
             }
             kind => Err(unsupported(kind.name(), "raw voxels, because a shape was given")),
@@ -151,21 +192,25 @@ fn open_path<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFil
     Ok(match kind {
         FileKind::Nrrd => Box::new(nrrd::NrrdFile::open(file, path, options)?),
         FileKind::Nifti => Box::new(nifti::NiftiFile::open(file, path, false, options)?),
-        FileKind::Gzip => Box::new(nifti::NiftiFile::open(file, path, true, options)?),
+        FileKind::Gzip => packed::open_gzip(file, &start, path, options)?,
         FileKind::MetaImage => Box::new(metaimage::MetaImageFile::open(file, path, options)?),
         FileKind::Npy => Box::new(npy::NpyFile::open(file, path)?),
-        FileKind::Zip => Box::new(npy::NpyFile::open_archive(file, path, options)?),
+        FileKind::Zip => packed::open_zip(file, path, options)?,
         FileKind::Mrc => Box::new(mrc::MrcFile::open(file, path)?),
         FileKind::Tiff => Box::new(tiff::TiffFile::open(vec![path.to_owned()], path, options)?),
-        FileKind::Dicom => Box::new(dicom::DicomFiles::open(vec![path.to_owned()], path, options)?),
+        FileKind::Dicom => dicom::open(vec![path.to_owned()], path, options)?,
         FileKind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
+        FileKind::Vtk => Box::new(vtk::VtkFile::open(file, path)?),
+        FileKind::Mgh => Box::new(mgh::MghFile::open(file, path)?),
+        FileKind::Png => Box::new(png_stack::PngStack::open(vec![path.to_owned()], path, options)?),
+        FileKind::Other(sniff::PAIR) => return open_path(&path.with_extension("hdr"), options),
         FileKind::Other(found) => return Err(unsupported(found, sniff::expected_for(found))),
     })
 }
 
-/// Reads the headers of a folder. It may be an OME-Zarr image. TIFF files are slices if they outnumber the DICOM
-/// files beside them. Otherwise, the folder and those below it are searched for DICOM files.
-fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile + 'a>, FormatError> {
+/// Reads the headers of a folder. It may be an OME-Zarr image. TIFF files, or else PNG files, are slices if they
+/// outnumber the DICOM files beside them. Otherwise, the folder and those below it are searched for DICOM files.
+fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile>, FormatError> {
     if zarr::is_group(path) {
         return Ok(Box::new(zarr::ZarrImage::open(path, options)?));
     }
@@ -173,49 +218,68 @@ fn open_folder<'a>(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeF
     let mut files = Vec::new();
     let num_folders = &mut 0;
     list_files(path, options, 0, num_folders, &mut files)?;
-    let is_tiff = |file: &PathBuf| {
+    let is_named = |file: &PathBuf, ends: &[&str]| {
         let end = file.extension().and_then(|e| e.to_str()).unwrap_or_default();
-        file.parent() == Some(path) && (end.eq_ignore_ascii_case("tif") || end.eq_ignore_ascii_case("tiff"))
+        file.parent() == Some(path) && ends.iter().any(|e| end.eq_ignore_ascii_case(e))
     };
-    let mut slices: Vec<PathBuf> = files.iter().filter(|f| is_tiff(f)).cloned().collect();
     let is_dicom = |file: &Path| read_start(file).is_some_and(|start| dicom::is_header(&start));
-    // A TIFF picture beside a DICOM series is not a slice.
-    let num_dicom =
-        || files.iter().filter(|f| f.parent() == Some(path) && !is_tiff(f) && is_dicom(f)).count();
-    if !slices.is_empty() && num_dicom() < slices.len() {
+    for (ends, is_tiff) in [(&["tif", "tiff"][..], true), (&["png"], false)] {
+        let mut slices: Vec<PathBuf> = files.iter().filter(|f| is_named(f, ends)).cloned().collect();
+        // A picture beside a DICOM series is not a slice, and neither is a lone PNG picture.
+        let others = || files.iter().filter(|f| f.parent() == Some(path) && !is_named(f, ends));
+        let least = if is_tiff { 1 } else { 2 };
+        if slices.len() < least || others().filter(|f| is_dicom(f)).count() >= slices.len() {
+            continue;
+        }
         home.check_all(&slices)?;
         tiff::sort_by_number(&mut slices);
-        return Ok(Box::new(tiff::TiffFile::open(slices, path, options)?));
+        return Ok(if is_tiff {
+            Box::new(tiff::TiffFile::open(slices, path, options)?)
+        } else {
+            Box::new(png_stack::PngStack::open(slices, path, options)?)
+        });
     }
-    let mut has_others = false;
+    let (mut empty, mut has_others, mut has_pointers) = (Vec::new(), false, false);
     files.retain(|file| {
         let start = read_start(file).unwrap_or_default();
         let is_dicom = dicom::is_header(&start);
-        has_others |=
-            !is_dicom && file.parent() == Some(path) && sniff::kind_of(&start, file).is_whole_volume();
+        if start.is_empty() {
+            empty.push(file.clone());
+        } else if !is_dicom && file.parent() == Some(path) {
+            let kind = match sniff::kind_of(&start, file) {
+                FileKind::Gzip => {
+                    let (inside, name) = packed::inside_gzip(&start, file);
+                    sniff::kind_of(&inside, &name)
+                }
+                kind => kind,
+            };
+            has_others |= kind.is_whole_volume();
+            has_pointers |= kind == FileKind::Other(sniff::LFS_NAME);
+        }
         is_dicom
     });
+    let unsupported = |found, expected| Err(FormatError::Unsupported { path: shown(path), found, expected });
     // Somebody who opens a folder of volumes does not want a series in a folder below it.
     if has_others && files.iter().all(|file| file.parent() != Some(path)) {
-        return Err(FormatError::Unsupported {
-            path: shown(path),
-            found: "a folder of volumes",
-            expected: "one of them, or a folder of slices",
-        });
+        return unsupported("a folder of volumes", "one of them, or a folder of slices");
+    }
+    if files.is_empty() && has_pointers {
+        return unsupported(
+            "a folder of Git LFS pointers",
+            "the files themselves, which `git lfs pull` fetches",
+        );
     }
     if files.is_empty() {
-        return Err(FormatError::Unsupported {
-            path: shown(path),
-            found: "a folder without slices",
-            expected: sniff::EXPECTED,
-        });
+        return unsupported("a folder without slices", sniff::EXPECTED);
     }
+    // Empty files in a folder of slices may be slices that were lost.
+    files.extend(empty);
     home.check_all(&files)?;
-    Ok(Box::new(dicom::DicomFiles::open(files, path, options)?))
+    dicom::open(files, path, options)
 }
 
 /// The first bytes of a file; `None` if it cannot be read.
-fn read_start(file: &Path) -> Option<Vec<u8>> {
+pub(crate) fn read_start(file: &Path) -> Option<Vec<u8>> {
     let mut start = Vec::new();
     File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start)).ok()?;
     Some(start)

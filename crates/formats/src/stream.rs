@@ -57,12 +57,26 @@ impl Unpacked {
     /// Skips `skip` bytes and passes the next `num_bytes` bytes to `collector`. The checksum at the end is verified,
     /// and further data cause a warning.
     pub(crate) fn take(
-        mut self,
+        self,
         collector: &mut Collector,
         path: &Path,
         skip: u64,
         num_bytes: u64,
     ) -> Result<(), FormatError> {
+        if self.take_some(collector, path, skip, num_bytes)? {
+            warn_of_more(collector, path);
+        }
+        Ok(())
+    }
+
+    /// The same without a warning. Returns whether there are further data.
+    pub(crate) fn take_some(
+        mut self,
+        collector: &mut Collector,
+        path: &Path,
+        skip: u64,
+        num_bytes: u64,
+    ) -> Result<bool, FormatError> {
         collector.check_length(path, num_bytes, self.most.saturating_sub(skip))?;
         let damaged = |e: io::Error| {
             let problem = format!("compressed data is damaged or cut: {e}");
@@ -72,14 +86,10 @@ impl Unpacked {
         let before = collector.position();
         collector.pump(&mut self.stream, path, num_bytes)?;
         let is_all = collector.position() - before == num_bytes / collector.bytes_per_number();
-        let is_more = match self.packing {
+        Ok(match self.packing {
             Packing::Plain => self.most > num_bytes + skip,
             _ => is_all && self.stream.read(&mut [0]).map_err(damaged)? > 0,
-        };
-        if is_more {
-            warn_of_more(collector, path);
-        }
-        Ok(())
+        })
     }
 }
 

@@ -20,19 +20,21 @@ pub struct VolumeSource {
     pub spacing: Option<Vec3>,
     /// Whether a header may name files outside its own folder. No state or list keeps this.
     pub foreign_files: bool,
+    /// Whether slices stay as they are stored, as for [`OpenOptions::stored_slices`].
+    pub stored_slices: bool,
 }
 
 impl VolumeSource {
     /// All of `source`, without changes.
     pub fn new(source: impl Into<String>) -> Self {
         let (source, selection) = (source.into(), Selection::default());
-        Self { source, raw: None, selection, spacing: None, foreign_files: false }
+        Self { source, raw: None, selection, spacing: None, foreign_files: false, stored_slices: false }
     }
 
     /// The options to open it with the default limits.
     pub fn options(&self) -> OpenOptions<'static> {
-        let &Self { raw, selection, spacing, foreign_files, .. } = self;
-        OpenOptions { raw, selection, spacing, foreign_files, ..OpenOptions::default() }
+        let &Self { raw, selection, spacing, foreign_files, stored_slices, .. } = self;
+        OpenOptions { raw, selection, spacing, foreign_files, stored_slices, ..OpenOptions::default() }
     }
 
     /// Whether all of its numbers are finite.
@@ -42,14 +44,15 @@ impl VolumeSource {
 
     /// A request to load it within a limit of memory.
     pub fn request(self, max_bytes: u64) -> LoadRequest {
-        let Self { source, raw, selection, spacing, foreign_files } = self;
-        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files }
+        let Self { source, raw, selection, spacing, foreign_files, stored_slices } = self;
+        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices }
     }
 }
 
 impl From<LoadRequest> for VolumeSource {
     fn from(request: LoadRequest) -> Self {
-        let LoadRequest { source, raw, selection, spacing, max_bytes: _, foreign_files: _ } = request;
-        Self { raw, selection, spacing, ..Self::new(source) }
+        let LoadRequest { source, raw, selection, spacing, max_bytes: _, foreign_files: _, stored_slices } =
+            request;
+        Self { raw, selection, spacing, stored_slices, ..Self::new(source) }
     }
 }

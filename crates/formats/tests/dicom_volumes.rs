@@ -325,41 +325,37 @@ fn what_lies_beside_slices_changes_nothing() {
 }
 
 #[test]
-fn gaps_and_blocks_are_told() {
+fn gaps_are_filled_and_blocks_stay_apart() {
     let at = |places: &[f64]| {
-        let slices: Vec<_> = places.iter().enumerate().map(|(i, z)| slice(*z, i as u16, &[])).collect();
+        let slices: Vec<_> = places.iter().enumerate().map(|(i, z)| slice(*z, 10 + i as u16, &[])).collect();
         let folder = folder(&slices);
-        (outline_of(folder.path()).spacing[2], part(folder.path(), None, None).1)
+        let (values, said) = part(folder.path(), None, None);
+        (outline_of(folder.path()).spacing[2], values, said)
     };
     // The positions are rounded to a fiftieth of a millimetre.
-    assert_eq!(at(&[0.0, 3.0, 6.02, 9.0, 12.0]), (3.0, vec![]));
-    let missing = vec!["1 slice is missing, after slice 3; the gap is not shown".to_owned()];
-    assert_eq!(at(&[0.0, 3.0, 6.0, 12.0, 15.0]), (3.0, missing));
-    let (distance, said) = at(&[0.0, 3.0, 6.0, 80.5, 83.5, 86.5]);
-    assert_eq!(distance, 3.0);
+    assert_eq!(at(&[0.0, 3.0, 6.02, 9.0, 12.0]), (3.0, vec![10.0, 11.0, 12.0, 13.0, 14.0], vec![]));
+    let (distance, values, said) = at(&[0.0, 3.0, 6.0, 12.0, 15.0]);
+    // The blended slice lies between 12 and 13, and is rounded.
+    assert_eq!((distance, values.len(), values[4]), (3.0, 6, 13.0));
     assert!(
-        said[0].starts_with("the slices lie in 2 separate blocks of 3 and 3 slices, up to 74.5 mm"),
+        said[0].starts_with("1 slice is missing, after slice 3; its neighbours were blended"),
         "{said:?}"
     );
+    let (distance, values, said) = at(&[0.0, 3.0, 6.0, 81.0, 84.0, 87.0]);
+    assert_eq!((distance, values.len()), (3.0, 30));
+    assert_eq!((&values[..3], &values[27..]), (&[10.0, 11.0, 12.0][..], &[13.0, 14.0, 15.0][..]));
+    // Nothing is in the gap: it has the least number of a slice beside it.
+    assert!(values[3..27].iter().all(|x| *x <= 13.0), "{values:?}");
+    let words =
+        "the slices lie in 2 separate blocks of 3 and 3 slices, up to 75.0 mm apart; the gap is left empty";
+    assert_eq!(said[0], words);
 }
 
 #[test]
-fn mosaics_and_codings_that_are_not_read_are_told() {
+fn mosaics_without_a_number_are_told() {
     let kind = text(IMAGE_TYPE, "CS", "ORIGINAL\\PRIMARY\\M\\ND\\MOSAIC");
     let mosaics = folder(&times(1, |_, _| vec![kind.clone()]));
     let expected =
-        "the pictures are mosaics of slices (MOSAIC), which are shown as they are, not as a volume";
+        "the pictures are mosaics of slices (MOSAIC) without their number, and are shown as they are";
     assert_eq!(part(mosaics.path(), None, None).1, [expected]);
-
-    let extended = |bits: u16| {
-        let stored = element((0x0028, 0x0101), "US", &bits.to_le_bytes());
-        let path = folder(&[file("1.2.840.10008.1.2.4.51", vec![stored], &[0])]);
-        outline(path.path().to_str().unwrap(), &options(None, None)).unwrap_err().to_string()
-    };
-    let expected = r#"DICOM: pixels are coded as JPEG Extended of 12 bits (transfer syntax "1.2.840.10008.1.2.4.51"), expected at most 8 bits in it"#;
-    let e = extended(12);
-    assert!(e.ends_with(expected), "{e}");
-    // Eight bits are supported, if they are compressed.
-    let e = extended(8);
-    assert!(e.ends_with("JPEG pixels are not in fragments"), "{e}");
 }

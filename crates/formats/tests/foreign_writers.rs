@@ -402,16 +402,32 @@ fn odd_series_by_pydicom() {
     assert_eq!(values(&each), (0..60).map(|i| plain(i) * (i / 20 + 1) as f32).collect::<Vec<_>>());
     has(&each, "different rescale slopes");
 
-    let gap = open_path(&at("gap"));
-    assert_eq!((gap.dims(), gap.spacing().z), ([5, 4, 7], 3.0));
-    has(&gap, "2 slices are missing, after slice 4; the gap is not shown");
-    let uneven = open_path(&at("uneven"));
-    assert_eq!((uneven.dims(), uneven.spacing().z), ([5, 4, 9], 3.0));
-    has(&uneven, "slices are 2.300 to 3.700 mm apart; they are shown 3.000 mm apart");
-    let tilt = open_path(&at("tilt"));
-    // The arc tangent of 0.8 by 3.
-    has(&tilt, "a tilt of 14.9°");
-    assert_eq!(tilt.spacing().z, 3.0);
+    // Every third value is 100 more than three before it, and missing slices lie between their neighbours.
+    let stored = |name: &str| {
+        let options = OpenOptions { stored_slices: true, ..OpenOptions::default() };
+        open(at(name).to_str().unwrap(), &options).unwrap()
+    };
+    let (gap, gap_stored) = (open_path(&at("gap")), stored("gap"));
+    assert_eq!((gap.dims(), gap.spacing().z), ([5, 4, 9], 3.0));
+    assert_eq!(values(&gap), (0..180).map(|i| plain(i) - 3000.0).collect::<Vec<_>>());
+    has(&gap, "2 slices are missing, after slice 4; their neighbours were blended there");
+    has(&gap, "resampled to even distances; --stored-slices shows them as they are");
+    assert_eq!((gap_stored.dims(), gap_stored.spacing().z), ([5, 4, 7], 3.0));
+    has(&gap_stored, "2 slices are missing, after slice 4; the gap is not shown");
+    let (uneven, uneven_stored) = (open_path(&at("uneven")), stored("uneven"));
+    // The least distance is 2.3 mm, and 24 mm are ten of 2.4 mm.
+    assert_eq!((uneven.dims(), uneven.spacing().z), ([5, 4, 11], 2.4));
+    has(&uneven, "slices are 2.300 to 3.700 mm apart; they were resampled to 2.400 mm");
+    // At 4.8 mm, between slices at 3.4 and 6 mm.
+    assert!((values(&uneven)[40] - (100.0 + 100.0 * 1.4 / 2.6 - 3000.0)).abs() <= 0.5);
+    assert_eq!((uneven_stored.dims(), uneven_stored.spacing().z), ([5, 4, 9], 3.0));
+    has(&uneven_stored, "slices are 2.300 to 3.700 mm apart; they are shown 3.000 mm apart");
+    let (tilt, tilt_stored) = (open_path(&at("tilt")), stored("tilt"));
+    // The arc tangent of 0.8 by 3. The slices shift by 6.4 mm in all, or 3.2 rows.
+    has(&tilt, "a tilt of 14.9°; they were resampled to right angles");
+    assert_eq!((tilt.dims(), tilt.spacing().to_array()), ([5, 8, 9], [1.5, 2.0, 3.0]));
+    has(&tilt_stored, "a tilt of 14.9°, which is not shown");
+    assert_eq!((tilt_stored.dims(), tilt_stored.spacing().z), ([5, 4, 9], 3.0));
 
     let two = outline_of(&at("two"));
     assert_eq!(two.series.len(), 2);
@@ -436,4 +452,111 @@ fn odd_series_by_pydicom() {
     let slice = open_path(&files(&at("rescale"), &[".dcm"])[0]);
     assert_eq!(slice.dims(), [5, 4, 1]);
     has(&slice, "one slice; its folder is a series");
+}
+
+#[test]
+fn codings_by_imagecodecs() {
+    let folder = unpack("dicom_coded");
+    let folders = files(folder.path(), &[""]);
+    assert_eq!(folders.len(), 6 + 3 + 3);
+    for path in folders {
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        if name.starts_with("color") {
+            let channel = |channel: u32| {
+                let selection = Selection { channel: Some(channel), ..Selection::default() };
+                let volume =
+                    open(path.to_str().unwrap(), &OpenOptions { selection, ..OpenOptions::default() });
+                let volume = volume.unwrap_or_else(|e| panic!("{name}: {e}"));
+                assert_eq!(volume.dims(), [16, 16, 3], "{name}");
+                volume.voxels().get(400)
+            };
+            for (i, expected) in [200.0, 100.0, 50.0].into_iter().enumerate() {
+                assert!((channel(i as u32) - expected).abs() <= 2.0, "{name}: {}", channel(i as u32));
+            }
+            continue;
+        }
+        let (form, code) = name.split_once('-').unwrap();
+        if ["near", "jpeg12", "lossy"].contains(&form) {
+            let volume = open_path(&path);
+            assert_eq!(volume.dims(), [5, 4, 3], "{name}");
+            for i in 0..60 {
+                let expected = (i % 5) + (i / 5 % 4) * 10 + i / 20 * 100;
+                let found = volume.value_from_stored(volume.voxels().get(i));
+                assert!((found - expected as f32).abs() <= 3.0, "{name}: voxel {i}: {found}, {expected}");
+            }
+        } else {
+            let (volume, _, first) = checked(&path);
+            check_place(&volume, &name);
+            assert_eq!(first, first_of(code), "{name}");
+            check_type(&volume, code, &name);
+        }
+    }
+}
+
+#[test]
+fn mosaics_and_nuclear_medicine_by_pydicom() {
+    let folder = unpack("dicom_vendors");
+    let names = ["mosaic_siemens", "mosaic_header", "mosaic_uih", "nm_up", "nm_down"];
+    for name in names {
+        let (volume, name, first) = checked(&folder.path().join(name));
+        check_place(&volume, &name);
+        assert_eq!(first, first_of("u2"), "{name}");
+        check_body(&volume, "RAS", &name);
+    }
+}
+
+#[test]
+fn segmentations_by_highdicom() {
+    let folder = unpack("dicom_vendors");
+    let expected = |i: usize| {
+        let (x, y, z) = (i % 5, i / 5 % 4, i / 20);
+        let (is_liver, is_lesion) = (z < 2 && y < 2, z > 0 && (1..3).contains(&y) && (1..3).contains(&x));
+        if is_lesion { 2.0 } else { f32::from(u8::from(is_liver)) }
+    };
+    for (name, word) in [
+        ("seg_binary.dcm", "2 voxels are in several segments; the one with the highest number is shown"),
+        ("seg_fractional.dcm", "the label of the segment that fills most of it"),
+        ("seg_labels.dcm", ""),
+    ] {
+        let path = folder.path().join(name);
+        let volume = open_path(&path);
+        assert_eq!((volume.dims(), volume.spacing().to_array()), ([5, 4, 3], [1.5, 2.0, 3.0]), "{name}");
+        for i in 0..60 {
+            assert_eq!(volume.voxels().get(i), expected(i), "{name}: voxel {i}");
+        }
+        check_place(&volume, name);
+        let labels = &volume.info.labels;
+        let told: Vec<(u32, &str)> = labels.iter().map(|l| (l.value, l.name.as_str())).collect();
+        assert_eq!(told, [(1, "liver"), (2, "lesion")], "{name}");
+        for (label, expected) in labels.iter().zip([[255, 0, 0], [0, 255, 0]]) {
+            let found = label.color.unwrap();
+            assert!(found.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 8), "{name}: {found:?}");
+        }
+        assert!(
+            volume.info.warnings.iter().any(|w| w.contains(word)) || word.is_empty(),
+            "{:?}",
+            volume.info
+        );
+        assert_eq!(&outline_of(&path).labels, labels);
+    }
+}
+
+#[test]
+fn packed_and_other_files_by_nibabel_and_simpleitk() {
+    let folder = unpack("packed");
+    let paths = files(folder.path(), &[""]);
+    assert_eq!(paths.len(), 4 + 3 + 1 + 2 + 2);
+    for path in paths {
+        let (volume, name, first) = checked(&path);
+        let (form, rest) = name.split_once('-').unwrap();
+        let code = &rest[..2];
+        assert_eq!(first, first_of(code), "{name}");
+        check_type(&volume, code, &name);
+        if form != "png" {
+            check_place(&volume, &name);
+        }
+        if matches!(form, "mgh" | "mgz" | "zip" | "deflated") {
+            check_body(&volume, "RAS", &name);
+        }
+    }
 }

@@ -245,7 +245,7 @@ macro_rules! targets {
     )*};
 }
 
-targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd calibrated vti zarr }
+targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd dicom_coded dicom_vendors calibrated vti zarr packed }
 
 /// Memory limit for the voxels.
 const MEMORY_LIMIT: u64 = 1 << 20;

@@ -140,9 +140,10 @@ fn detached_voxels_are_found_beside_their_header() {
         let volume = open_path(&path).unwrap_or_else(|e| panic!("{data}: {e}"));
         assert_eq!(values(&volume), expected, "{data}");
     }
+    let seven = format!("data file: LIST\n{}", "slice01.raw\n".repeat(7));
     for (data, what) in [
-        ("data file: slice%02d.raw 1 4 1\n", "slice04.raw"),
-        ("data file: slice%02d.raw 1 7 1\n", "7 data files cannot share 60 voxels"),
+        ("data file: slice%02d.raw 1 4 1\n", r#"a.nhdr: its data file "slice04.raw" is missing"#),
+        (&seven, "7 data files cannot share 60 voxels"),
         ("data file: LIST\nslice01.raw\nslice02.raw\n", "slice01.raw: 5×4×3 int16 needs 60 bytes, found 40"),
     ] {
         fs::write(&path, [header(fields).trim_ascii_end(), b"\n", data.as_bytes()].concat()).unwrap();

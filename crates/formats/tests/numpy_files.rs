@@ -101,14 +101,6 @@ fn the_largest_array_of_an_archive_is_shown() {
 }
 
 #[test]
-fn other_archives_are_to_be_unpacked() {
-    let folder = TempDir::new().unwrap();
-    let path = save(folder.path(), "a.zip", &zip(&[("a.dcm", vec![0; 4])]));
-    let message = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
-    assert!(message.contains("found a ZIP archive without NumPy arrays, expected what is in it: unpack it"));
-}
-
-#[test]
 fn encrypted_and_damaged_archives_are_refused_in_one_line() {
     let folder = TempDir::new().unwrap();
     let message = |bytes: &[u8]| {

@@ -147,9 +147,10 @@ fn spacing_can_be_told_where_the_file_is_silent() {
     let control = open(path.to_str().unwrap(), &OpenOptions::default()).unwrap();
     assert!(control.info.warnings.iter().any(|w| w.contains("spacing")));
     let nonsense = OpenOptions { spacing: Some(Vec3::new(0.5, -1.0, f32::NAN)), ..OpenOptions::default() };
-    assert!(
-        open(path.to_str().unwrap(), &nonsense).unwrap_err().to_string().contains("steps between voxels")
-    );
+    let e = open(path.to_str().unwrap(), &nonsense).unwrap_err().to_string();
+    let expected =
+        "the distances of voxels along its axes are 0.5, 1 and NaN, expected finite numbers above zero";
+    assert!(e.contains(expected), "{e}");
 }
 
 /// A part of a large file only needs memory for the part.

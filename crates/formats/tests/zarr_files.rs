@@ -162,3 +162,21 @@ fn chunks_that_are_not_there_have_the_fill_value() {
         assert_eq!(volume.value_range(), (3.0, 3.0));
     }
 }
+
+#[test]
+fn absent_chunks_are_counted() {
+    let folder = TempDir::new().unwrap();
+    let folder = folder.path();
+    let said = || open(folder.to_str().unwrap(), &OpenOptions::default()).unwrap().info.warnings;
+    array(folder, [4, 5, 6], "/", "7", Some(1));
+    let is_told = |warnings: &[String]| warnings.iter().any(|w| w.starts_with("chunks not found"));
+    assert!(!is_told(&said()));
+    fs::remove_file(folder.join("1/2/0")).unwrap();
+    let text = "chunks not found: 1 of 18, shown as the fill value of the array";
+    assert!(said().iter().any(|w| w == text), "{:?}", said());
+    // The names of all chunks have another separator.
+    array(folder, [4, 5, 6], ".", "7", None);
+    let text =
+        "chunks not found: 18 of 18, shown as the fill value of the array; is the dimension separator right?";
+    assert!(said().iter().any(|w| w == text), "{:?}", said());
+}

@@ -22,6 +22,7 @@ pub(crate) struct FileLoader {
     raw: Option<RawShape>,
     spacing: Option<Vec3>,
     foreign_files: bool,
+    stored_slices: bool,
     /// The transfer function in place of the one that suits each part.
     transfer: Option<TransferFunction>,
     /// Most memory for all volumes, bytes.
@@ -38,9 +39,10 @@ impl FileLoader {
     /// A loader for the file of `request`, whose memory limit covers all volumes. `transfer` is a preset or a file,
     /// or `None` for the one that suits each part.
     pub(crate) fn new(request: &LoadRequest, transfer: Option<&str>) -> Result<Self> {
-        let LoadRequest { source, raw, spacing, max_bytes, foreign_files, .. } = request.clone();
+        let LoadRequest { source, raw, spacing, max_bytes, foreign_files, stored_slices, .. } =
+            request.clone();
         let transfer = transfer.map(load_transfer).transpose()?;
-        Ok(Self { source, raw, spacing, foreign_files, transfer, max_memory: max_bytes })
+        Ok(Self { source, raw, spacing, foreign_files, stored_slices, transfer, max_memory: max_bytes })
     }
 
     /// The header of a part, if there is room for it beside the `held` bytes.
@@ -77,6 +79,7 @@ impl FileLoader {
             selection,
             spacing: self.spacing,
             foreign_files: self.foreign_files,
+            stored_slices: self.stored_slices,
             max_bytes: self.max_memory,
             ..OpenOptions::default()
         }

@@ -73,6 +73,8 @@ pub struct DemoOptions {
     pub spacing: Option<Vec3>,
     /// Whether a header may name files outside its own folder.
     pub foreign_files: bool,
+    /// Whether uneven slices stay as they are stored.
+    pub stored_slices: bool,
     /// Most memory for the volume, bytes.
     pub max_bytes: u64,
     /// Preset or file; `None` for the one that suits the volume.
@@ -123,6 +125,7 @@ impl Default for DemoOptions {
             selection: Selection::default(),
             spacing: None,
             foreign_files: false,
+            stored_slices: false,
             max_bytes: OpenOptions::default().max_bytes,
             transfer: None,
             shaded: true,
@@ -274,9 +277,16 @@ impl DemoOptions {
 
     /// The prepared volume, and these options with the orbit made upright.
     pub fn open(&self) -> Result<(OpenedScene, Self), BenchError> {
-        let &Self { raw, selection, spacing, max_bytes, foreign_files, clip, mode, isos, .. } = self;
-        let open =
-            OpenOptions { raw, selection, spacing, max_bytes, foreign_files, ..OpenOptions::default() };
+        let &Self { raw, selection, spacing, max_bytes, clip, mode, isos, .. } = self;
+        let open = OpenOptions {
+            raw,
+            selection,
+            spacing,
+            max_bytes,
+            foreign_files: self.foreign_files,
+            stored_slices: self.stored_slices,
+            ..OpenOptions::default()
+        };
         let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(self.shaded, self.lighting) };
         let opened = open_scene(&self.source, self.transfer.as_deref(), settings, &open)?;
         let orbit = self.orbit.upright(opened.scene.volume.info.orientation.as_deref());

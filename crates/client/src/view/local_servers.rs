@@ -43,9 +43,18 @@ pub(crate) fn survey(
     held: u64,
     servers: &dyn LocalServers,
 ) -> Result<Outline, String> {
-    let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files } = request.clone();
+    let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices } =
+        request.clone();
     let foreign_files = foreign_files || servers.allows_foreign_files();
-    let options = OpenOptions { raw, selection, spacing, max_bytes, foreign_files, ..OpenOptions::default() };
+    let options = OpenOptions {
+        raw,
+        selection,
+        spacing,
+        max_bytes,
+        foreign_files,
+        stored_slices,
+        ..OpenOptions::default()
+    };
     let found = match outline(&source, &options) {
         // The check explains the needs.
         Err(FormatError::TooLarge { .. }) => {

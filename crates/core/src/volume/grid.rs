@@ -71,8 +71,21 @@ pub struct VolumeInfo {
     pub value_unit: Option<String>,
     /// The values between which the file's author shows it, ascending, if known.
     pub window: Option<(f32, f32)>,
+    /// What the values mean, if they are labels.
+    pub labels: Vec<VolumeLabel>,
     /// Oddities of the file, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// What a value of a volume of labels means.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct VolumeLabel {
+    /// The value.
+    pub value: u32,
+    /// A name in one line.
+    pub name: String,
+    /// The colour in the file, sRGB.
+    pub color: Option<[u8; 3]>,
 }
 
 /// Position of a volume in the world of its file: right-anterior-superior (RAS+) for a body, or else the file's own

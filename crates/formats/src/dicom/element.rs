@@ -15,8 +15,24 @@ pub(super) struct DataSet {
     pub(super) fields: Elements,
     /// Values of each frame of an enhanced file.
     pub(super) frames: Vec<Elements>,
-    /// Offset of the pixel data, and their length unless they are in fragments.
-    pub(super) pixels: Option<(u64, Option<u32>)>,
+    /// Values of each segment of a segmentation.
+    pub(super) segments: Vec<Elements>,
+    /// Values of each slice of a mosaic.
+    pub(super) tiles: Vec<Elements>,
+    pub(super) pixels: Option<PixelElement>,
+}
+
+/// The element with the pixel data.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PixelElement {
+    /// Offset of its first byte.
+    pub(super) offset: u64,
+    /// Bytes; `None` if they are in fragments.
+    pub(super) length: Option<u32>,
+    /// Whether the bytes are parts of words of 16 bits (OW).
+    pub(super) is_words: bool,
+    /// Whether the numbers are floats, of the allocated bits.
+    pub(super) is_float: bool,
 }
 
 /// Values by tag, with the byte order of the file.
@@ -58,6 +74,18 @@ impl Elements {
         Some(if self.endian == Endian::Big { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
     }
 
+    /// All binary numbers of 16 bits.
+    pub(super) fn shorts(&self, tag: Tag) -> Vec<u16> {
+        let is_big = self.endian == Endian::Big;
+        let words = self.values.get(&tag).map_or(&[][..], |bytes| bytes.as_chunks().0);
+        words.iter().map(|b| if is_big { u16::from_be_bytes(*b) } else { u16::from_le_bytes(*b) }).collect()
+    }
+
+    /// The bytes of a value as they are; empty if there are none.
+    pub(super) fn bytes(&self, tag: Tag) -> &[u8] {
+        self.values.get(&tag).map_or(&[], Vec::as_slice)
+    }
+
     /// A float of 64 bits.
     pub(super) fn double(&self, tag: Tag) -> Option<f64> {
         let bytes = *self.values.get(&tag)?.first_chunk()?;
@@ -76,7 +104,12 @@ impl Elements {
 
 /// Most bytes of a value that is kept.
 fn longest(tag: Tag) -> u32 {
-    if tag == tags::GRID_FRAME_OFFSETS { MAX_OFFSETS_BYTES } else { MAX_VALUE_BYTES }
+    match tag {
+        tags::GRID_FRAME_OFFSETS => MAX_OFFSETS_BYTES,
+        tags::LUT_DATA | tags::SIEMENS_HEADER => MAX_TABLE_BYTES,
+        tags::ROTATION_VECTOR | tags::TIME_SLOT_VECTOR | tags::SLICE_VECTOR => MAX_TABLE_BYTES,
+        _ => MAX_VALUE_BYTES,
+    }
 }
 
 impl DataSet {
@@ -85,6 +118,9 @@ impl DataSet {
         let length = reader.get_ref().metadata()?.len();
         let mut start = [0; 132];
         let n = read_up_to(reader, &mut start)?;
+        if n == 0 {
+            return Err(invalid("it is empty (0 bytes)"));
+        }
         let is_marked = n == start.len() && start[128..] == *b"DICM";
         let at = if is_marked { 132 } else { 0 };
         reader.seek(SeekFrom::Start(at))?;
@@ -99,6 +135,7 @@ impl DataSet {
         let mut set = Self::default();
         if is_marked {
             parser.meta(&mut set)?;
+            set.syntax = set.fields.text(tags::TRANSFER_SYNTAX).unwrap_or_default();
         } else {
             // A file without preamble has implicit types, unless the letters of a type are there.
             parser.is_implicit = !(start[4].is_ascii_uppercase() && start[5].is_ascii_uppercase());
@@ -208,9 +245,9 @@ impl ElementParser<'_> {
                 return Ok(());
             }
             let length = head.length.ok_or_else(|| invalid("an element of group 2 has no length"))?;
-            if head.tag == tags::TRANSFER_SYNTAX && length <= MAX_VALUE_BYTES {
-                let text = self.value(length)?;
-                set.syntax = String::from_utf8_lossy(&text).trim_end_matches(['\0', ' ']).to_owned();
+            if tags::is_relevant(head.tag) && length <= MAX_VALUE_BYTES {
+                let value = self.value(length)?;
+                set.fields.values.insert(head.tag, value);
             } else {
                 self.skip(length.into())?;
             }
@@ -232,14 +269,18 @@ impl ElementParser<'_> {
             let end = head.length.map(|n| self.at + u64::from(n));
             match head.tag {
                 tags::ITEM => {
-                    if levels.last().is_some_and(|l| !l.is_item && l.tag == tags::PER_FRAME_GROUPS) {
-                        set.frames.push(Elements { endian: self.endian, ..Elements::default() });
+                    if let Some(list) = levels.last().filter(|l| !l.is_item).and_then(|l| set.list(l.tag)) {
+                        list.push(Elements { endian: self.endian, ..Elements::default() });
                     }
                     self.enter(&mut levels, head.tag, true, end)?;
                 }
                 tags::ITEM_END | tags::SEQUENCE_END => self.leave(&mut levels),
-                tags::PIXEL_DATA if levels.is_empty() => {
-                    set.pixels = Some((self.at, head.length));
+                tags::PIXEL_DATA | tags::FLOAT_PIXEL_DATA | tags::DOUBLE_PIXEL_DATA if levels.is_empty() => {
+                    // Without types, pixels are words.
+                    let is_words = self.is_implicit || head.vr == *b"OW";
+                    let is_float = head.tag != tags::PIXEL_DATA;
+                    set.pixels =
+                        Some(PixelElement { offset: self.at, length: head.length, is_words, is_float });
                     return Ok(());
                 }
                 tag => {
@@ -291,13 +332,26 @@ impl ElementParser<'_> {
     }
 }
 
-/// The owner of values in these sequences: the file, its latest frame, or nobody.
+impl DataSet {
+    /// The list whose entries are the items of this sequence, if it is such a sequence.
+    fn list(&mut self, sequence: Tag) -> Option<&mut Vec<Elements>> {
+        match sequence {
+            tags::PER_FRAME_GROUPS => Some(&mut self.frames),
+            tags::SEGMENTS => Some(&mut self.segments),
+            tags::UIH_TILES => Some(&mut self.tiles),
+            _ => None,
+        }
+    }
+}
+
+/// The owner of values in these sequences: the file, an entry of a list, or nobody.
 fn place<'a>(set: &'a mut DataSet, levels: &[SequenceLevel]) -> Option<&'a mut Elements> {
-    match levels.first() {
-        None => Some(&mut set.fields),
-        Some(level) if level.tag == tags::SHARED_GROUPS => Some(&mut set.fields),
-        Some(level) if level.tag == tags::PER_FRAME_GROUPS => set.frames.last_mut(),
-        Some(_) => None,
+    if levels.iter().any(|l| !l.is_item && !tags::is_sequence(l.tag)) {
+        return None;
+    }
+    match levels.first().map(|l| l.tag) {
+        None | Some(tags::SHARED_GROUPS | tags::MODALITY_LUT | tags::DETECTORS) => Some(&mut set.fields),
+        Some(tag) => set.list(tag)?.last_mut(),
     }
 }
 
@@ -324,6 +378,8 @@ const LONG_VRS: [&[u8; 2]; 13] =
 const MAX_VALUE_BYTES: u32 = 4096;
 /// Longest list of offsets: 16 bytes and a separator for each frame.
 const MAX_OFFSETS_BYTES: u32 = 17 << 16;
+/// Longest table: two bytes for each of 65536 numbers, and headers of scanners.
+const MAX_TABLE_BYTES: u32 = 1 << 18;
 /// Most elements of a file, enough for some ten thousand frames.
 const MAX_ELEMENTS: u32 = 4 << 20;
 const MAX_DEPTH: usize = 32;

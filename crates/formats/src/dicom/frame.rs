@@ -8,103 +8,68 @@ use glam::DVec3;
 
 use super::element::{DataSet, Elements};
 use super::keys::Keys;
+use super::mosaic::Mosaic;
 use super::pixels::Coding;
+use super::segmentation::Segmentation;
+use super::shape::Shape;
 use super::tags;
 use crate::error::quoted;
-
-/// The common properties of all frames of a volume.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Shape {
-    pub(super) columns: u16,
-    pub(super) rows: u16,
-    pub(super) samples: u16,
-    /// Whether each sample has its own plane.
-    pub(super) is_planar: bool,
-    pub(super) bits_allocated: u16,
-    pub(super) bits_stored: u16,
-    pub(super) high_bit: u16,
-    pub(super) is_signed: bool,
-    /// Whether the least value is white (MONOCHROME1).
-    pub(super) is_inverted: bool,
-    pub(super) coding: Coding,
-}
-
-impl Shape {
-    fn of(set: &DataSet) -> Result<Self, String> {
-        let number = |tag, name: &str| set.fields.short(tag).ok_or_else(|| format!("{name} is missing"));
-        let (rows, columns) = (number(tags::ROWS, "Rows")?, number(tags::COLUMNS, "Columns")?);
-        let bits_allocated = number(tags::BITS_ALLOCATED, "BitsAllocated")?;
-        let bits_stored = set.fields.short(tags::BITS_STORED).unwrap_or(bits_allocated);
-        let high_bit = set.fields.short(tags::HIGH_BIT).unwrap_or(bits_stored.wrapping_sub(1));
-        let samples = set.fields.short(tags::SAMPLES_PER_PIXEL).unwrap_or(1);
-        let photometric = set.fields.text(tags::PHOTOMETRIC).unwrap_or_default();
-        let coding = Coding::of(&set.syntax)?;
-        // The decoder supports the extended process only for 8 bits.
-        if set.syntax == JPEG_EXTENDED && bits_stored > 8 {
-            return Err(format!(
-                "pixels are coded as JPEG Extended of {bits_stored} bits (transfer syntax {}), expected at most 8 bits in it",
-                quoted(&set.syntax)
-            ));
-        }
-        let is_known = match samples {
-            1 => !photometric.starts_with("PALETTE"),
-            3 => photometric == "RGB" && coding != Coding::Jpeg,
-            _ => false,
-        };
-        if !is_known {
-            let found = quoted(&photometric);
-            return Err(format!(
-                "pixels are {found} of {samples} samples, expected MONOCHROME1, MONOCHROME2 or RGB"
-            ));
-        }
-        let is_good = matches!(bits_allocated, 8 | 16 | 32)
-            && (1..=bits_allocated).contains(&bits_stored)
-            && (bits_stored - 1..bits_allocated).contains(&high_bit)
-            && rows > 0
-            && columns > 0;
-        if !is_good {
-            return Err(format!(
-                "{columns}×{rows} pixels of {bits_stored} bits in {bits_allocated}, the highest {high_bit}; expected at least one pixel and bits in 8, 16 or 32"
-            ));
-        }
-        Ok(Self {
-            columns,
-            rows,
-            samples,
-            is_planar: samples > 1
-                && (coding == Coding::Rle || set.fields.short(tags::PLANAR_CONFIGURATION) == Some(1)),
-            bits_allocated,
-            bits_stored,
-            high_bit,
-            is_signed: set.fields.short(tags::PIXEL_REPRESENTATION) == Some(1),
-            is_inverted: photometric == "MONOCHROME1",
-            coding,
-        })
-    }
-
-    pub(super) fn num_pixels(&self) -> u64 {
-        u64::from(self.columns) * u64::from(self.rows)
-    }
-
-    /// Bytes of a frame, unpacked.
-    pub(super) fn num_bytes(&self) -> u64 {
-        self.num_pixels() * u64::from(self.samples) * u64::from(self.bits_allocated / 8)
-    }
-}
 
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
     pub(super) file: usize,
     /// Offsets and lengths of the parts of its pixel data.
     pub(super) parts: Vec<(u64, u64)>,
+    /// Number of the slice in a mosaic; 0 in other pictures.
+    pub(super) tile: usize,
     /// Centre of the first pixel, LPS millimetres.
     pub(super) position: Option<DVec3>,
+    /// Millimetres along the stack, from a start that is not known.
+    pub(super) location: Option<f64>,
     /// The order at equal positions: point in time, acquisition, number.
     pub(super) order: [f64; 3],
     /// The keys by which it may differ from others at the same position.
     pub(super) keys: Arc<Keys>,
-    pub(super) slope: f64,
-    pub(super) intercept: f64,
+    pub(super) scale: Scale,
+    /// The number of pixels outside of the picture, as far as it is known.
+    pub(super) padding: Option<f64>,
+}
+
+/// How stored numbers become values.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Scale {
+    /// Slope and intercept.
+    Linear(f64, f64),
+    /// The first number of a table (Modality LUT), and the values of the numbers from there on.
+    Table(f64, Arc<[u16]>),
+}
+
+impl Scale {
+    /// The value of a number. A number outside of a table has the nearest value in it.
+    pub(super) fn value(&self, number: f64) -> f64 {
+        match self {
+            Self::Linear(slope, intercept) => number * slope + intercept,
+            Self::Table(first, values) => {
+                let at = (number - first).clamp(0.0, (values.len() - 1) as f64);
+                values[at as usize].into()
+            }
+        }
+    }
+
+    /// The table of a file, if it has one.
+    fn table(fields: &Elements, is_signed: bool) -> Option<Self> {
+        let [count, first, bits] = *fields.shorts(tags::LUT_DESCRIPTOR).first_chunk()?;
+        let count = if count == 0 { 1 << 16 } else { usize::from(count) };
+        let first = if is_signed { f64::from(first as i16) } else { f64::from(first) };
+        let (words, bytes) = (fields.shorts(tags::LUT_DATA), fields.bytes(tags::LUT_DATA));
+        // Tables of 8 bits come in bytes or in words.
+        let values: Vec<u16> = if bits <= 8 && bytes.len() < 2 * count {
+            bytes.iter().map(|b| u16::from(*b)).take(count).collect()
+        } else {
+            words.into_iter().take(count).collect()
+        };
+        (!values.is_empty()).then(|| Self::Table(first, values.into()))
+    }
 }
 
 /// The plane of a slice in the body.
@@ -121,9 +86,22 @@ pub(super) struct Plane {
 impl Plane {
     /// Whether both belong to one stack, except for rounding.
     pub(super) fn is_near(&self, other: &Self) -> bool {
+        self.is_parallel(other) && self.stack == other.stack
+    }
+
+    /// Whether both have the same directions and distances of pixels.
+    pub(super) fn is_parallel(&self, other: &Self) -> bool {
         is_near(&self.orientation, &other.orientation, 1e-3)
             && is_near(&self.pixel_spacing, &other.pixel_spacing, 1e-5)
-            && self.stack == other.stack
+    }
+
+    /// Directions of rows, columns and the normal, if they are independent.
+    pub(super) fn directions(&self) -> Option<(DVec3, DVec3, DVec3)> {
+        let [a, b, c, d, e, f] = self.orientation?;
+        let (row, column) = (DVec3::new(a, b, c), DVec3::new(d, e, f));
+        let normal = row.cross(column);
+        let is_good = normal.is_finite() && normal.length() > 0.1 && normal.length() < 10.0;
+        is_good.then(|| (row.normalize(), column.normalize(), normal.normalize()))
     }
 }
 
@@ -149,90 +127,177 @@ pub(super) struct FileStack {
     pub(super) frames: Vec<Frame>,
 }
 
-impl FileStack {
-    /// Reads the header of the file with this number. Returns its stacks in the order of their first frames. An error
-    /// of kind `InvalidData` says what is wrong.
-    pub(super) fn read(file: File, number: usize) -> io::Result<Vec<Self>> {
-        let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
-        let mut reader = BufReader::new(file);
-        let set = DataSet::read(&mut reader)?;
-        let (offset, length) = set.pixels.ok_or_else(|| invalid("there are no pixel data".into()))?;
-        let shape = Shape::of(&set).map_err(invalid)?;
-        let fields = &set.fields;
-        let num_frames = fields.decimal(tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
-        if !(1.0..=MAX_FRAMES).contains(&num_frames) {
-            return Err(invalid(format!("it has {num_frames} frames, expected 1 to {MAX_FRAMES}")));
-        }
-        let num_frames = num_frames as usize;
-        let parts = match length {
-            Some(length) => plain_parts(offset, length.into(), num_frames, &shape).map_err(invalid)?,
-            None => fragments(&mut reader, num_frames)?,
-        };
-        let shared = FrameFields::of(fields);
-        let mut own: Vec<FrameFields> = set.frames.iter().take(num_frames).map(FrameFields::of).collect();
-        if own.len() > 1 && stacks_are_single(&own) {
-            own.iter_mut().for_each(|o| o.plane.stack = None);
-        }
-        let get =
-            |i: usize, f: fn(&FrameFields) -> Option<f64>| own.get(i).and_then(f).or_else(|| f(&shared));
-        let base = [tags::TEMPORAL_POSITION, tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER]
-            .map(|tag| fields.decimal(tag).unwrap_or(0.0));
-        let offsets = fields.decimals(tags::GRID_FRAME_OFFSETS).filter(|o| o.len() == num_frames);
-        let positions = shared.position.zip(shared.normal()).zip(offsets);
-        let file_keys = Arc::new(Keys::of(fields));
-        let number_of_series = fields.decimal(tags::SERIES_NUMBER).map_or("?".into(), |n| n.to_string());
-        let description = fields.text(tags::SERIES_DESCRIPTION).unwrap_or_default();
-        let modality = fields
-            .text(tags::MODALITY)
-            .filter(|m| m.len() <= 16 && m.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_'));
-        let unit = own.first().and_then(|o| o.unit.as_deref()).or(shared.unit.as_deref());
-        let value_unit = unit_of(unit, &modality);
-        let mut stacks: Vec<Self> = Vec::new();
-        for (i, parts) in parts.into_iter().enumerate() {
-            let own_position = own.get(i).and_then(|o| o.position);
-            // A plain file with many frames has the position of the first. Some files list the distances of the
-            // others.
-            let along = positions.as_ref().map(|((first, normal), o)| *first + *normal * (o[i] - o[0]));
-            let frame = Frame {
-                file: number,
-                parts,
-                position: own_position.or(along).or(shared.position.filter(|_| num_frames == 1)),
-                order: [base[0], base[1], base[2] + i as f64 / num_frames as f64],
-                keys: set.frames.get(i).map_or_else(
-                    || Arc::clone(&file_keys),
-                    |fields| Arc::new(Keys::of(fields).or(&file_keys)),
-                ),
-                slope: get(i, |o| o.slope).filter(|s| *s != 0.0).unwrap_or(1.0),
-                intercept: get(i, |o| o.intercept).unwrap_or(0.0),
-            };
-            let plane = own.get(i).map(|o| &o.plane);
-            let plane = Plane {
-                orientation: plane.and_then(|p| p.orientation).or(shared.plane.orientation),
-                pixel_spacing: plane.and_then(|p| p.pixel_spacing).or(shared.plane.pixel_spacing),
-                stack: plane.and_then(|p| p.stack.clone()).or_else(|| shared.plane.stack.clone()),
-            };
-            if let Some(stack) = stacks.iter_mut().rev().find(|s| s.plane.is_near(&plane)) {
-                stack.frames.push(frame);
-                continue;
-            }
-            if stacks.len() == MAX_STACKS {
-                return Err(invalid(format!(
-                    "its frames lie in more than {MAX_STACKS} directions or stacks"
-                )));
-            }
-            stacks.push(Self {
-                shape,
-                series_uid: fields.text(tags::SERIES_UID).unwrap_or_default(),
-                name: format!("{number_of_series} {}", quoted(&description)),
-                modality: modality.clone(),
-                value_unit: value_unit.clone(),
-                plane,
-                slice_spacing: get(i, |o| o.slice_spacing),
-                frames: vec![frame],
-            });
-        }
-        Ok(stacks)
+/// What one file holds.
+pub(super) enum Contents {
+    Stacks(Vec<FileStack>),
+    Segmentation(Box<Segmentation>),
+    /// A list of other files (DICOMDIR).
+    List,
+}
+
+/// Reads the header of the file with this number. Stacks are in the order of their first frames. An error of kind
+/// `InvalidData` says what is wrong.
+pub(super) fn read_file(file: File, number: usize) -> io::Result<Contents> {
+    let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
+    let mut reader = BufReader::new(file);
+    let set = DataSet::read(&mut reader)?;
+    let class =
+        set.fields.text(tags::CLASS).or_else(|| set.fields.text(tags::FILE_CLASS)).unwrap_or_default();
+    if class == LIST_CLASS {
+        return Ok(Contents::List);
     }
+    let num_frames = set.fields.decimal(tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
+    if !(1.0..=MAX_FRAMES).contains(&num_frames) {
+        return Err(invalid(format!("it has {num_frames} frames, expected 1 to {MAX_FRAMES}")));
+    }
+    let num_frames = num_frames as usize;
+    let Some(pixels) = set.pixels else {
+        let modality = set.fields.text(tags::MODALITY).unwrap_or_default();
+        let kind = match modality.as_str() {
+            "" => String::new(),
+            other => format!(" of modality {}", quoted(other)),
+        };
+        return Err(invalid(format!("the file{kind} has no pixels, expected a picture or a segmentation")));
+    };
+    if SEGMENTATION_CLASSES.contains(&class.as_str()) {
+        let parts = match pixels.length {
+            Some(_) => None,
+            None => Some(fragments(&mut reader, num_frames)?),
+        };
+        return Segmentation::of(&set, number, num_frames, parts)
+            .map(|found| Contents::Segmentation(Box::new(found)))
+            .map_err(invalid);
+    }
+    let mosaic = Mosaic::of(&set).filter(|_| num_frames == 1);
+    let shape = Shape::of(&set, mosaic.as_ref()).map_err(invalid)?;
+    let parts = match pixels.length {
+        Some(length) => plain_parts(pixels.offset, length.into(), num_frames, &shape).map_err(invalid)?,
+        None => fragments(&mut reader, num_frames)?,
+    };
+    stacks_of(&set, number, shape, parts, mosaic.as_ref()).map(Contents::Stacks).map_err(invalid)
+}
+
+/// The stacks of a file. `parts` locate the pixels of each picture.
+fn stacks_of(
+    set: &DataSet,
+    number: usize,
+    shape: Shape,
+    parts: Vec<Vec<(u64, u64)>>,
+    mosaic: Option<&Mosaic>,
+) -> Result<Vec<FileStack>, String> {
+    let fields = &set.fields;
+    let num_frames = mosaic.map_or(parts.len(), |m| m.num_slices);
+    let shared = FrameFields::of(fields);
+    let mut own: Vec<FrameFields> = set.frames.iter().take(num_frames).map(FrameFields::of).collect();
+    if own.len() > 1 && stacks_are_single(&own) {
+        own.iter_mut().for_each(|o| o.plane.stack = None);
+    }
+    let get = |i: usize, f: fn(&FrameFields) -> Option<f64>| own.get(i).and_then(f).or_else(|| f(&shared));
+    let base = [tags::TEMPORAL_POSITION, tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER]
+        .map(|tag| fields.decimal(tag).unwrap_or(0.0));
+    let positions = match mosaic {
+        Some(mosaic) => mosaic_positions(mosaic, &shared, &shape),
+        None => frame_positions(fields, &shared, num_frames),
+    };
+    let table = Scale::table(fields, shape.is_signed);
+    let file_keys = Arc::new(Keys::of(fields));
+    let time_slots = fields.shorts(tags::TIME_SLOT_VECTOR);
+    let modality = modality_of(fields);
+    let unit = own.first().and_then(|o| o.unit.as_deref()).or(shared.unit.as_deref());
+    let value_unit = unit_of(unit, &modality);
+    let mut stacks: Vec<FileStack> = Vec::new();
+    for i in 0..num_frames {
+        let own_position = own.get(i).and_then(|o| o.position);
+        let keys = match set.frames.get(i) {
+            Some(fields) => Arc::new(Keys::of(fields).or(&file_keys)),
+            None if time_slots.len() == num_frames => Arc::new(file_keys.at_time(time_slots[i].into())),
+            None => Arc::clone(&file_keys),
+        };
+        let frame = Frame {
+            file: number,
+            parts: parts[if mosaic.is_some() { 0 } else { i }].clone(),
+            tile: if mosaic.is_some() { i } else { 0 },
+            position: own_position.or_else(|| positions.as_ref().map(|p| p[i])),
+            location: fields.decimal(tags::SLICE_LOCATION).filter(|_| num_frames == 1),
+            order: [base[0], base[1], base[2] + i as f64 / num_frames as f64],
+            keys,
+            scale: table.clone().unwrap_or_else(|| {
+                let slope = get(i, |o| o.slope).filter(|s| *s != 0.0).unwrap_or(1.0);
+                Scale::Linear(slope, get(i, |o| o.intercept).unwrap_or(0.0))
+            }),
+            padding: fields
+                .short(tags::PIXEL_PADDING)
+                .map(|bits| if shape.is_signed { f64::from(bits as i16) } else { f64::from(bits) }),
+        };
+        let plane = own.get(i).map(|o| &o.plane);
+        let plane = Plane {
+            orientation: plane.and_then(|p| p.orientation).or(shared.plane.orientation),
+            pixel_spacing: plane.and_then(|p| p.pixel_spacing).or(shared.plane.pixel_spacing),
+            stack: plane.and_then(|p| p.stack.clone()).or_else(|| shared.plane.stack.clone()),
+        };
+        if let Some(stack) = stacks.iter_mut().rev().find(|s| s.plane.is_near(&plane)) {
+            stack.frames.push(frame);
+            continue;
+        }
+        if stacks.len() == MAX_STACKS {
+            return Err(format!("its frames lie in more than {MAX_STACKS} directions or stacks"));
+        }
+        stacks.push(FileStack {
+            shape,
+            series_uid: fields.text(tags::SERIES_UID).unwrap_or_default(),
+            name: series_name(fields),
+            modality: modality.clone(),
+            value_unit: value_unit.clone(),
+            plane,
+            slice_spacing: get(i, |o| o.slice_spacing).map(f64::abs),
+            frames: vec![frame],
+        });
+    }
+    Ok(stacks)
+}
+
+/// The number and description of a file's series.
+pub(super) fn series_name(fields: &Elements) -> String {
+    let number = fields.decimal(tags::SERIES_NUMBER).map_or("?".into(), |n| n.to_string());
+    format!("{number} {}", quoted(&fields.text(tags::SERIES_DESCRIPTION).unwrap_or_default()))
+}
+
+/// The imaging modality of a file.
+pub(super) fn modality_of(fields: &Elements) -> Option<String> {
+    let is_word = |m: &String| m.len() <= 16 && m.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
+    fields.text(tags::MODALITY).filter(is_word)
+}
+
+/// The positions of frames that have none of their own. The file has the position of the first, and distances.
+fn frame_positions(fields: &Elements, shared: &FrameFields, num_frames: usize) -> Option<Vec<DVec3>> {
+    let first = shared.position?;
+    if num_frames == 1 {
+        return Some(vec![first]);
+    }
+    let (.., normal) = shared.plane.directions()?;
+    if let Some(offsets) = fields.decimals(tags::GRID_FRAME_OFFSETS).filter(|o| o.len() == num_frames) {
+        return Some(offsets.iter().map(|o| first + normal * (o - offsets[0])).collect());
+    }
+    // Frames of a camera that turns around the body lie elsewhere.
+    if !fields.shorts(tags::ROTATION_VECTOR).is_empty() {
+        return None;
+    }
+    // In nuclear medicine, a negative distance says that the slices run against the normal.
+    let distance = fields.decimal(tags::SPACING_BETWEEN_SLICES).filter(|d| *d != 0.0)?;
+    let numbers = fields.shorts(tags::SLICE_VECTOR);
+    let number = |i: usize| numbers.get(i).map_or(i as f64, |n| f64::from(*n) - 1.0);
+    Some((0..num_frames).map(|i| first + normal * distance * number(i)).collect())
+}
+
+/// The positions of the slices of a mosaic.
+fn mosaic_positions(mosaic: &Mosaic, shared: &FrameFields, shape: &Shape) -> Option<Vec<DVec3>> {
+    let (corner, [row_distance, column_distance]) = (shared.position?, shared.plane.pixel_spacing?);
+    let (row, column, normal) = shared.plane.directions()?;
+    let [columns, rows] = shape.picture();
+    let across = row * column_distance * columns as f64;
+    let down = column * row_distance * rows as f64;
+    let step = normal * shared.slice_spacing?.abs();
+    Some((0..mosaic.num_slices).map(|i| mosaic.position(i, corner, across, down, step)).collect())
 }
 
 /// Whether every frame has its own stack, which has no meaning.
@@ -243,10 +308,10 @@ fn stacks_are_single(frames: &[FrameFields]) -> bool {
 }
 
 /// The position and scale of a frame or file, as far as it states them.
-struct FrameFields {
-    position: Option<DVec3>,
-    plane: Plane,
-    slice_spacing: Option<f64>,
+pub(super) struct FrameFields {
+    pub(super) position: Option<DVec3>,
+    pub(super) plane: Plane,
+    pub(super) slice_spacing: Option<f64>,
     slope: Option<f64>,
     intercept: Option<f64>,
     /// Unit of the values, in DICOM's terms.
@@ -254,7 +319,7 @@ struct FrameFields {
 }
 
 impl FrameFields {
-    fn of(fields: &Elements) -> Self {
+    pub(super) fn of(fields: &Elements) -> Self {
         let above_zero = |x: &f64| *x > 0.0;
         let spacing = |tag| fields.decimal_array::<2>(tag).filter(|s| s.iter().all(above_zero));
         let slice = |tag| fields.decimal(tag).map(f64::abs).filter(above_zero);
@@ -269,18 +334,10 @@ impl FrameFields {
             // Doses have their own field for the slope, and are then in gray.
             slope: fields.decimal(tags::RESCALE_SLOPE).or_else(|| fields.decimal(tags::DOSE_GRID_SCALING)),
             intercept: fields.decimal(tags::RESCALE_INTERCEPT),
-            unit: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE]
+            unit: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE, tags::LUT_TYPE]
                 .into_iter()
                 .find_map(|t| fields.text(t)),
         }
-    }
-}
-
-impl FrameFields {
-    /// The unit vector perpendicular to rows and columns.
-    fn normal(&self) -> Option<DVec3> {
-        let [a, b, c, d, e, f] = self.plane.orientation?;
-        DVec3::new(a, b, c).cross(DVec3::new(d, e, f)).try_normalize()
     }
 }
 
@@ -374,8 +431,10 @@ fn fragments(reader: &mut BufReader<File>, num_frames: usize) -> io::Result<Vec<
     Err(invalid(format!("{} fragments for {num_frames} frames and no table of offsets", list.len())))
 }
 
-/// Transfer syntax of lossy JPEG with 8 or 12 bits.
-const JPEG_EXTENDED: &str = "1.2.840.10008.1.2.4.51";
+/// Lists of files (PS3.3, annex F).
+const LIST_CLASS: &str = "1.2.840.10008.1.3.10";
+/// Segmentations, and those whose numbers are labels.
+const SEGMENTATION_CLASSES: [&str; 2] = ["1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"];
 /// Most frames of a file.
 const MAX_FRAMES: f64 = 65_536.0;
 const MAX_FRAGMENTS: usize = 1 << 18;

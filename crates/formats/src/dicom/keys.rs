@@ -119,6 +119,13 @@ impl Keys {
         }
     }
 
+    /// These keys at another point in time.
+    pub(super) fn at_time(&self, number: f64) -> Self {
+        let mut keys = self.clone();
+        keys.numbers[Key::TemporalPosition.index()] = Some(number);
+        keys
+    }
+
     /// The value of a key. A missing one comes before all others.
     pub(super) fn number(&self, key: Key) -> f64 {
         self.numbers[key.index()].unwrap_or(f64::NEG_INFINITY)

@@ -1,20 +1,29 @@
 //! DICOM: the series of a folder, or the frames of one file. Slices are sorted along their normal. Differences at one
-//! position divide them into series and points in time. The frame is LPS in millimetres.
+//! position divide them into series and points in time. Uneven, missing and tilted slices are resampled. The frame is
+//! LPS in millimetres.
 
 mod divide;
 mod element;
 mod frame;
 mod gaps;
 mod keys;
+mod mosaic;
 mod pixels;
+mod resample;
+mod segmentation;
 mod series;
+mod shape;
 mod tags;
 
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use self::frame::{FileStack, Frame, Shape};
+use self::frame::{Contents, Frame, Scale, read_file};
+use self::resample::Resampling;
+use self::segmentation::Segmentation;
+use self::series::{Series, Stacked};
+use self::shape::Shape;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, not_there, shown};
@@ -23,15 +32,25 @@ use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
 /// A series whose headers were read.
-pub(crate) struct DicomFiles {
+struct DicomFiles {
     plan: Plan,
     files: Vec<PathBuf>,
     shape: Shape,
     /// Slices in the order of the plan: along the normal, then in time.
     frames: Vec<Frame>,
-    /// Whether each slice has its own slope and intercept.
+    num_slices: usize,
+    resampling: Option<Resampling>,
+    /// Whether voxels are floats, because each slice has its own scale.
     is_rescaled: bool,
     open: Option<(usize, File)>,
+    /// The latest mosaic, because it has many slices.
+    mosaic: Option<DecodedMosaic>,
+}
+
+/// A picture of many slices.
+struct DecodedMosaic {
+    file: usize,
+    bytes: Vec<u8>,
 }
 
 /// Whether `start` begins a DICOM file. It needs the mark, or an element of group 8 or 2 at its start.
@@ -46,65 +65,146 @@ pub(crate) fn is_header(start: &[u8]) -> bool {
             && (start[4..6].iter().all(u8::is_ascii_uppercase) || start[6..8] == [0, 0]))
 }
 
-impl DicomFiles {
-    /// Opens the file or folder at `path` with these `files`.
-    pub(crate) fn open(files: Vec<PathBuf>, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
-        let bad = malformed(path, "DICOM");
-        let is_folder = path.is_dir();
-        let (mut found, mut num_other, mut first_problem) = (Vec::new(), 0, None);
-        let mut first_other = None;
-        for (i, file) in files.iter().enumerate() {
-            options.check_cancelled(path)?;
-            match FileStack::read(open_file(file)?, i) {
-                Ok(stacks) => found.extend(stacks),
-                Err(e) => {
-                    num_other += 1;
-                    let problem = match e.kind() {
-                        io::ErrorKind::InvalidData => e.to_string(),
-                        io::ErrorKind::UnexpectedEof => "it ends within an element".to_owned(),
-                        _ => return Err(io_error(file)(e)),
-                    };
-                    first_other.get_or_insert_with(|| (file_name(file), problem.clone()));
-                    first_problem.get_or_insert(malformed(file, "DICOM")(problem));
-                }
+/// Opens the file or folder at `path` with these `files`. Pictures come before segmentations.
+pub(crate) fn open(
+    files: Vec<PathBuf>,
+    path: &Path,
+    options: &OpenOptions,
+) -> Result<Box<dyn VolumeFile>, FormatError> {
+    let is_folder = path.is_dir();
+    let (mut stacks, mut segmentations, mut left_out) = (Vec::new(), Vec::new(), LeftOut::default());
+    for (i, file) in files.iter().enumerate() {
+        options.check_cancelled(path)?;
+        match read_file(open_file(file)?, i) {
+            Ok(Contents::Stacks(found)) => stacks.extend(found),
+            Ok(Contents::Segmentation(found)) => segmentations.push(*found),
+            Ok(Contents::List) => left_out.has_list = true,
+            Err(e) => {
+                let problem = match e.kind() {
+                    io::ErrorKind::InvalidData => e.to_string(),
+                    io::ErrorKind::UnexpectedEof => "it ends within an element".to_owned(),
+                    _ => return Err(io_error(file)(e)),
+                };
+                left_out.num += 1;
+                left_out.first.get_or_insert_with(|| (file.clone(), problem));
             }
         }
-        let series = series::group(found);
-        let Some(largest) = (0..series.len()).max_by_key(|&i| (series[i].num_voxels(), std::cmp::Reverse(i)))
-        else {
-            return Err(first_problem.unwrap_or_else(|| bad("no slice was found".into())));
+    }
+    let series = series::group(stacks);
+    let names = series.iter().map(Series::name).chain(segmentations.iter().map(Segmentation::name));
+    let names: Vec<String> = names.collect();
+    let Some(usual) = (0..series.len())
+        .max_by_key(|&i| (series[i].num_voxels(), std::cmp::Reverse(i)))
+        .or((!segmentations.is_empty()).then_some(0))
+    else {
+        return Err(left_out.into_error(path));
+    };
+    let index = options.selection.series.map_or(usual, |i| i as usize);
+    let is_lone_slice = !is_folder && names.len() == 1;
+    let num_pictures = series.len();
+    let mut file: Box<dyn DicomVolume> = if let Some(chosen) = series.into_iter().nth(index) {
+        Box::new(DicomFiles::new(chosen, files, is_lone_slice, options))
+    } else if let Some(chosen) = segmentations.into_iter().nth(index.saturating_sub(num_pictures)) {
+        let path = files[chosen.file].clone();
+        Box::new(chosen.into_file(path))
+    } else {
+        return Err(not_there(path, "series", index as u64, names.len()));
+    };
+    let plan = file.plan_mut();
+    if names.len() > 1 {
+        if options.selection.series.is_none() {
+            let whole = if is_folder { "folder" } else { "file" };
+            let text = format!(
+                "the {whole} has {} series, of which the largest is shown: {}",
+                names.len(),
+                names[index]
+            );
+            plan.warn(WarningKind::Choice, text);
+        }
+        plan.series = names;
+        plan.usual_series = usual as u32;
+    }
+    if let Some(text) = left_out.warning().filter(|_| is_folder) {
+        plan.warn(WarningKind::Data, text);
+    }
+    Ok(file.into_volume_file())
+}
+
+/// The files that are neither slices nor segmentations.
+#[derive(Default)]
+struct LeftOut {
+    num: usize,
+    /// The first of them, and what is wrong with it.
+    first: Option<(PathBuf, String)>,
+    /// Whether a list of files (DICOMDIR) is there. It is not counted.
+    has_list: bool,
+}
+
+impl LeftOut {
+    /// The warning has only the name of the file, because remote viewers see it.
+    fn warning(self) -> Option<String> {
+        let (file, problem) = self.first?;
+        let name = file_name(&file);
+        Some(format!("{} files are no slices and were left out, the first: {name}: {problem}", self.num))
+    }
+
+    /// The error if nothing else is there.
+    fn into_error(self, path: &Path) -> FormatError {
+        match self.first {
+            Some((file, problem)) => malformed(&file, "DICOM")(problem),
+            None if self.has_list => FormatError::Unsupported {
+                path: shown(path),
+                found: "a list of files (DICOMDIR)",
+                expected: "the folder that it lists",
+            },
+            None => malformed(path, "DICOM")("no slice was found".into()),
+        }
+    }
+}
+
+/// A volume of DICOM files, whose plan may get further notes.
+trait DicomVolume: VolumeFile {
+    fn plan_mut(&mut self) -> &mut Plan;
+    fn into_volume_file(self: Box<Self>) -> Box<dyn VolumeFile>;
+}
+
+impl DicomVolume for DicomFiles {
+    fn plan_mut(&mut self) -> &mut Plan {
+        &mut self.plan
+    }
+
+    fn into_volume_file(self: Box<Self>) -> Box<dyn VolumeFile> {
+        self
+    }
+}
+
+impl DicomFiles {
+    fn new(series: Series, files: Vec<PathBuf>, is_lone_slice: bool, options: &OpenOptions) -> Self {
+        let shape = series.shape;
+        let stacked = series.stack(options.stored_slices);
+        let Stacked { frames, num_slices, num_times, resampling, .. } = stacked;
+        let scale = frames[0].scale.clone();
+        let linear = match scale {
+            Scale::Linear(slope, intercept) if frames.iter().all(|f| f.scale == scale) => {
+                Some((slope, intercept))
+            }
+            _ => None,
         };
-        let names: Vec<String> = series.iter().map(series::Series::name).collect();
-        let num_series = names.len();
-        let index = options.selection.series.map_or(largest, |i| i as usize);
-        let chosen = series
-            .into_iter()
-            .nth(index)
-            .ok_or_else(|| not_there(path, "series", index as u64, num_series))?;
-        let shape = chosen.shape;
-        let stacked = chosen.stack();
-        let slope = (stacked.frames[0].slope, stacked.frames[0].intercept);
-        let is_rescaled = stacked.frames.iter().any(|f| (f.slope, f.intercept) != slope);
-        let dtype = match (shape.bits_allocated, shape.is_signed) {
-            _ if is_rescaled => Dtype::Float,
-            (8, false) => Dtype::Uint8,
-            (8, true) => Dtype::Int8,
-            (16, false) => Dtype::Uint16,
-            (16, true) => Dtype::Int16,
-            (_, false) => Dtype::Uint32,
-            (_, true) => Dtype::Int32,
-        };
-        let mut axes = vec![
-            Axis { size: shape.columns.into(), role: Role::Space(0) },
-            Axis { size: shape.rows.into(), role: Role::Space(1) },
-        ];
+        let is_rescaled = linear.is_none();
+        let dtype = if is_rescaled { Dtype::Float } else { shape.dtype() };
+        let [columns, rows] = resampling
+            .as_ref()
+            .map_or([shape.columns, shape.rows].map(u64::from), |r| r.shown.map(|n| n as u64));
+        let num_shown = resampling.as_ref().map_or(num_slices, Resampling::num_slices);
+        let mut axes =
+            vec![Axis { size: columns, role: Role::Space(0) }, Axis { size: rows, role: Role::Space(1) }];
         let samples = Axis {
             size: shape.samples.into(),
             role: if shape.samples > 1 { Role::Channel } else { Role::Single },
         };
         axes.insert(if shape.is_planar { 2 } else { 0 }, samples);
-        axes.push(Axis { size: stacked.num_slices as u64, role: Role::Space(2) });
-        axes.push(Axis { size: stacked.num_times as u64, role: Role::Time });
+        axes.push(Axis { size: num_shown as u64, role: Role::Space(2) });
+        axes.push(Axis { size: num_times as u64, role: Role::Time });
         let format = format!("DICOM, {}", shape.coding.name());
         let mut plan = Plan::new(format, dtype, Endian::Little, axes, stacked.geometry);
         plan.spacing_guess = stacked.spacing_guess;
@@ -116,40 +216,29 @@ impl DicomFiles {
         for (kind, text) in stacked.warnings {
             plan.warn(kind, text);
         }
-        if !is_rescaled {
-            plan.value_map = value_map(&shape, slope);
+        if let Some((slope, intercept)) = linear {
+            let sum = if shape.is_inverted { inverted_sum(&shape) } else { 0.0 };
+            let sign = if shape.is_inverted { -1.0 } else { 1.0 };
+            plan.value_map = (sign * slope, slope * sum + intercept);
         }
         if shape.is_inverted {
             plan.warn(WarningKind::Values, "the least value is white (MONOCHROME1); values were inverted");
         }
         if is_rescaled {
-            plan.warn(WarningKind::Values, "slices have different rescale slopes; values are kept as floats");
+            let text = if frames.iter().any(|f| matches!(f.scale, Scale::Table(..))) {
+                "values come from a table (Modality LUT) and are kept as floats"
+            } else {
+                "slices have different rescale slopes; values are kept as floats"
+            };
+            plan.warn(WarningKind::Values, text);
         }
-        if num_series > 1 {
-            if options.selection.series.is_none() {
-                let whole = if is_folder { "folder" } else { "file" };
-                let text = format!(
-                    "the {whole} has {} series, of which the largest is shown: {}",
-                    num_series, names[index]
-                );
-                plan.warn(WarningKind::Choice, text);
-            }
-            plan.series = names;
-            plan.usual_series = largest as u32;
-        }
-        if num_other > 0 && is_folder {
-            // The warning has only the name of the file, because remote viewers see it.
-            let first = first_other
-                .map_or(String::new(), |(name, problem)| format!(", the first: {name}: {problem}"));
-            plan.warn(WarningKind::Data, format!("{num_other} files are no slices and were left out{first}"));
-        }
-        if !is_folder && stacked.frames.len() == 1 && num_series == 1 {
+        if is_lone_slice && frames.len() == 1 {
             plan.warn(WarningKind::Data, "the file is one slice; its folder is a series");
         }
-        Ok(Self { plan, files, shape, frames: stacked.frames, is_rescaled, open: None })
+        Self { plan, files, shape, frames, num_slices, resampling, is_rescaled, open: None, mosaic: None }
     }
 
-    /// Decodes the numbers of a frame.
+    /// The numbers of a frame as they are stored.
     fn decode(&mut self, index: usize) -> Result<Vec<u8>, FormatError> {
         let frame = &self.frames[index];
         let path = &self.files[frame.file];
@@ -157,9 +246,89 @@ impl DicomFiles {
             self.open = Some((frame.file, open_file(path)?));
         }
         let Some((_, file)) = &mut self.open else { return Ok(Vec::new()) };
-        let bytes = pixels::decode(file, frame, &self.shape)
-            .map_err(|problem| FormatError::Data { path: shown(path), problem })?;
-        Ok(if self.is_rescaled { rescaled(&bytes, &self.shape, frame) } else { bytes })
+        let mut decode = || {
+            pixels::decode(file, frame, &self.shape)
+                .map_err(|problem| FormatError::Data { path: shown(path), problem })
+        };
+        if self.shape.tiles == 1 {
+            return decode();
+        }
+        // A file with a mosaic has no other picture.
+        let known = self.mosaic.take().filter(|mosaic| mosaic.file == frame.file);
+        let bytes = match known {
+            Some(mosaic) => mosaic.bytes,
+            None => decode()?,
+        };
+        let slice = pixels::tile(&bytes, frame, &self.shape);
+        self.mosaic = Some(DecodedMosaic { file: frame.file, bytes });
+        Ok(slice)
+    }
+
+    /// The numbers of a frame as the plan has them.
+    fn voxels(&mut self, index: usize) -> Result<Vec<u8>, FormatError> {
+        let bytes = self.decode(index)?;
+        if !self.is_rescaled {
+            return Ok(bytes);
+        }
+        let value = |number| self.value(index, number).to_le_bytes();
+        Ok(numbers(&bytes, self.shape.dtype()).flat_map(value).collect())
+    }
+
+    /// The value of a stored number.
+    fn value(&self, index: usize, number: f64) -> f32 {
+        let number = if self.shape.is_inverted { inverted_sum(&self.shape) - number } else { number };
+        self.frames[index].scale.value(number) as f32
+    }
+
+    /// The numbers of a frame as the plan has them, but NaN outside of the picture. `outside` becomes the number that
+    /// is to stand there.
+    fn numbers(&mut self, index: usize, outside: &mut Option<f32>) -> Result<Vec<f32>, FormatError> {
+        let bytes = self.decode(index)?;
+        let padding = self.frames[index].padding;
+        let (is_rescaled, is_inverted) = (self.is_rescaled, self.shape.is_inverted);
+        let in_plan = |number: f64| if is_rescaled { self.value(index, number) } else { number as f32 };
+        let list: Vec<f32> = numbers(&bytes, self.shape.dtype())
+            .map(|number| if Some(number) == padding { f32::NAN } else { in_plan(number) })
+            .collect();
+        let darkest = || {
+            let is_highest = is_inverted && !is_rescaled;
+            list.iter().copied().reduce(if is_highest { f32::max } else { f32::min }).filter(|x| !x.is_nan())
+        };
+        *outside = padding.map(in_plan).or_else(darkest).or(*outside);
+        Ok(list)
+    }
+
+    /// A slice of evenly spaced ones, in the numbers of the plan.
+    fn resampled(
+        &mut self,
+        resampling: &Resampling,
+        time: usize,
+        slice: usize,
+        latest: &mut Vec<(usize, Vec<f32>)>,
+        outside: &mut Option<f32>,
+    ) -> Result<Vec<u8>, FormatError> {
+        let pixels = resampling.slice(slice, |i| {
+            let index = time * self.num_slices + i;
+            if let Some((_, known)) = latest.iter().find(|(at, _)| *at == index) {
+                return Ok(known.clone());
+            }
+            let list = self.numbers(index, outside)?;
+            latest.truncate(1);
+            latest.insert(0, (index, list.clone()));
+            Ok(list)
+        })?;
+        let outside = outside.unwrap_or(0.0);
+        let pixels = pixels.into_iter().map(|x| if x.is_nan() { outside } else { x });
+        Ok(match self.plan.dtype {
+            Dtype::Uint8 => pixels.map(|x| x.round() as u8).collect(),
+            Dtype::Int8 => pixels.map(|x| x.round() as i8 as u8).collect(),
+            Dtype::Uint16 => pixels.flat_map(|x| (x.round() as u16).to_le_bytes()).collect(),
+            Dtype::Int16 => pixels.flat_map(|x| (x.round() as i16).to_le_bytes()).collect(),
+            Dtype::Uint32 => pixels.flat_map(|x| (x.round() as u32).to_le_bytes()).collect(),
+            Dtype::Int32 => pixels.flat_map(|x| (x.round() as i32).to_le_bytes()).collect(),
+            Dtype::Double => pixels.flat_map(|x| f64::from(x).to_le_bytes()).collect(),
+            _ => pixels.flat_map(f32::to_le_bytes).collect(),
+        })
     }
 }
 
@@ -176,43 +345,54 @@ impl VolumeFile for DicomFiles {
                 format!("a frame of {} bytes, expected at most {MAX_FRAME_BYTES}", self.shape.num_bytes()),
             ));
         }
-        let in_frame = self.shape.num_pixels() * u64::from(self.shape.samples);
-        for i in 0..self.frames.len() {
+        let resampling = self.resampling.clone();
+        let num_slices = resampling.as_ref().map_or(self.num_slices, Resampling::num_slices);
+        let num_pixels = resampling
+            .as_ref()
+            .map_or(self.shape.num_pixels(), |r| r.shown.iter().map(|n| *n as u64).product());
+        let in_frame = num_pixels * u64::from(self.shape.samples);
+        let (mut latest, mut outside) = (Vec::new(), None);
+        for i in 0..num_slices * (self.frames.len() / self.num_slices) {
             if collector.is_done() {
                 break;
             }
             if collector.gap() >= in_frame {
                 collector.pass(in_frame);
-            } else {
-                collector.push(&self.decode(i)?)?;
+                continue;
             }
+            let bytes = match &resampling {
+                Some(resampling) => {
+                    self.resampled(resampling, i / num_slices, i % num_slices, &mut latest, &mut outside)?
+                }
+                None => self.voxels(i)?,
+            };
+            collector.push(&bytes)?;
         }
         Ok(())
     }
 }
 
-/// Slope and intercept that turn numbers into values. The least value becomes the greatest if it is white.
-fn value_map(shape: &Shape, (slope, intercept): (f64, f64)) -> (f64, f64) {
-    if !shape.is_inverted {
-        return (slope, intercept);
-    }
-    let sum = if shape.is_signed { -1.0 } else { 2f64.powi(shape.bits_stored.into()) - 1.0 };
-    (-slope, slope * sum + intercept)
+/// Minus this, numbers are inverted: the least becomes the greatest.
+fn inverted_sum(shape: &Shape) -> f64 {
+    if shape.is_signed { -1.0 } else { 2f64.powi(shape.bits_stored.into()) - 1.0 }
 }
 
-/// The values of a frame as floats.
-fn rescaled(bytes: &[u8], shape: &Shape, frame: &Frame) -> Vec<u8> {
-    let (slope, intercept) = value_map(shape, (frame.slope, frame.intercept));
-    let value = |stored: f64| ((stored * slope + intercept) as f32).to_le_bytes();
-    match (shape.bits_allocated, shape.is_signed) {
-        (8, false) => bytes.iter().flat_map(|&b| value(b.into())).collect(),
-        (8, true) => bytes.iter().flat_map(|&b| value((b as i8).into())).collect(),
-        (16, false) => {
-            bytes.as_chunks().0.iter().flat_map(|b| value(u16::from_le_bytes(*b).into())).collect()
-        }
-        (16, true) => bytes.as_chunks().0.iter().flat_map(|b| value(i16::from_le_bytes(*b).into())).collect(),
-        (_, false) => bytes.as_chunks().0.iter().flat_map(|b| value(u32::from_le_bytes(*b).into())).collect(),
-        (_, true) => bytes.as_chunks().0.iter().flat_map(|b| value(i32::from_le_bytes(*b).into())).collect(),
+/// The numbers in little-endian words of this type.
+fn numbers(bytes: &[u8], dtype: Dtype) -> Box<dyn Iterator<Item = f64> + '_> {
+    macro_rules! of {
+        ($t:ty) => {
+            Box::new(bytes.as_chunks().0.iter().map(|b| <$t>::from_le_bytes(*b) as f64))
+        };
+    }
+    match dtype {
+        Dtype::Uint8 => of!(u8),
+        Dtype::Int8 => of!(i8),
+        Dtype::Uint16 => of!(u16),
+        Dtype::Int16 => of!(i16),
+        Dtype::Uint32 => of!(u32),
+        Dtype::Int32 => of!(i32),
+        Dtype::Double => of!(f64),
+        _ => of!(f32),
     }
 }
 

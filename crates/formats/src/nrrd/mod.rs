@@ -59,7 +59,7 @@ impl NrrdFile {
                     plan.warn(WarningKind::Data, note);
                 }
                 let home = HomeFolder::of_header(path, options);
-                names.iter().map(|name| home.file(name)).collect::<Result<_, _>>()?
+                names.iter().map(|name| home.data_file(name)).collect::<Result<_, _>>()?
             }
         };
         Ok(Self { header, plan, path: path.to_owned(), files, reader: Some(reader) })

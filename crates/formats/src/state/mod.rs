@@ -43,7 +43,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::error::{FormatError, quoted, shown};
 use crate::raw::RawShape;
 use crate::selection::Selection;
-use crate::source::read_file;
+use crate::source::{read_file, source_exists};
 use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
 
@@ -91,6 +91,8 @@ pub struct SavedVolume {
     pub region: Option<String>,
     /// Distances between voxels that replace those of the file.
     pub given_spacing: Option<[f32; 3]>,
+    /// Whether slices stay as they are stored, in the form of `--stored-slices`.
+    pub stored_slices: Option<bool>,
     /// The shape of a raw file.
     pub raw: Option<RawShape>,
     /// Voxels along x, y, z.
@@ -116,10 +118,12 @@ impl SavedVolume {
 
     /// The same volume, opened from `volume`.
     pub fn opened_from(self, volume: &VolumeSource) -> Self {
-        let VolumeSource { source, raw, selection, spacing, foreign_files: _ } = volume.clone();
+        let VolumeSource { source, raw, selection, spacing, foreign_files: _, stored_slices } =
+            volume.clone();
         let Selection { channel, time, level, series, region } = selection;
         let (region, given_spacing) = (region.map(|r| r.to_string()), spacing.map(Vec3::into));
-        Self { source: Some(source), channel, time, level, series, region, given_spacing, raw, ..self }
+        let (source, stored_slices) = (Some(source), stored_slices.then_some(true));
+        Self { source, channel, time, level, series, region, given_spacing, stored_slices, raw, ..self }
     }
 
     /// The source to open, if it is known and not a server.
@@ -129,7 +133,14 @@ impl SavedVolume {
     pub fn volume_source(&self) -> Result<Option<VolumeSource>, String> {
         let Some(source) = self.source.clone().filter(|_| self.link().is_none()) else { return Ok(None) };
         let (selection, spacing) = (self.selection()?, self.given_spacing.map(Vec3::from));
-        Ok(Some(VolumeSource { raw: self.raw, selection, spacing, ..VolumeSource::new(source) }))
+        let stored_slices = self.stored_slices == Some(true);
+        Ok(Some(VolumeSource {
+            raw: self.raw,
+            selection,
+            spacing,
+            stored_slices,
+            ..VolumeSource::new(source)
+        }))
     }
 
     /// The part of the file.
@@ -155,7 +166,7 @@ impl SavedVolume {
     /// Whether the source is a file that exists or a built-in volume. This may wait for a disk.
     pub fn is_here(&self) -> bool {
         let Some(source) = self.source.as_deref().filter(|_| self.link().is_none()) else { return false };
-        source.starts_with(BUILTIN) || Path::new(source).exists()
+        source_exists(source)
     }
 
     /// Finds the file of the volume. If it is not at its path, the folder of the state file `state` is searched for

@@ -65,6 +65,7 @@ fn state(seed: u32) -> SavedState {
             region: Some("1:5,:,7:".into()),
             time: Some(3),
             given_spacing: (seed % 3 == 1).then(|| [0.1, odd(seed), 2.0]),
+            stored_slices: (seed % 3 == 1).then_some(true),
             raw: (seed % 2 == 1).then(|| raw(seed)),
             dims: [5, 6, 7],
             spacing: [0.1, odd(seed), 3.0],
@@ -227,6 +228,7 @@ fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
         selection,
         spacing: volume.given_spacing.map(Vec3::from),
         foreign_files: false,
+        stored_slices: true,
     };
     assert_eq!(volume.volume_source(), Ok(Some(source.clone())));
     let opened = SavedVolume { time: None, raw: None, ..volume.clone() }.opened_from(&source);

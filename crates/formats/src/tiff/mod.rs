@@ -15,6 +15,7 @@ use ::tiff::TiffError;
 
 use self::page::{Group, PageDecoder, PageShape, Scan, decoder, page_shape, tiff_error};
 use self::shaped::Shaped;
+use crate::alike::alike;
 use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
@@ -119,6 +120,17 @@ impl TiffFile {
     /// folder.
     pub(crate) fn open(files: Vec<PathBuf>, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
         let bad = malformed(path, "TIFF");
+        let mut files = files;
+        let is_set = files.len() == 1
+            || Scan::of(&files[0], options)
+                .is_ok_and(|s| s.description.is_some_and(|text| ome::is_ome(&text)));
+        let mut left_out = None;
+        if !is_set {
+            (files, left_out) = alike(files, |file| {
+                options.check_cancelled(path)?;
+                page_shape(&mut decoder(file)?).map_err(|e| e.at(file, 0))
+            })?;
+        }
         let mut first = Scan::of(&files[0], options)?;
         if let Some(text) = first.description.as_deref().filter(|text| ome::is_ome(text)) {
             let image = set::OmeSet::open(text, &files, path, options)?;
@@ -184,6 +196,9 @@ impl TiffFile {
             plan(&group, &mut stack, is_contiguous.then_some(first.endian), files.len()).map_err(bad)?;
         for (kind, text) in warnings {
             plan.warn(kind, text);
+        }
+        if let Some(text) = left_out {
+            plan.warn(WarningKind::Data, text);
         }
         if first.num_other > 0 {
             let text = format!("{} pages of another size or type were left out", first.num_other);

@@ -135,6 +135,7 @@ impl VolumeFile for ZarrImage {
         // Each step reads one layer of chunks along the slowest axis with more than one number.
         let axis = selected.iter().position(|r| r.end - r.start > 1).unwrap_or(0);
         let whole = selected[axis].clone();
+        let (mut num_files, mut num_absent) = (0u64, 0u64);
         for layer in grid[axis].clone() {
             let side = array.chunk[axis];
             selected[axis] = whole.start.max(layer * side)..whole.end.min((layer + 1) * side);
@@ -144,27 +145,35 @@ impl VolumeFile for ZarrImage {
             let mut index: Vec<u64> = here.iter().map(|r| r.start).collect();
             loop {
                 collector.tick()?;
-                self.chunk(&index, &mut slab, collector)?;
+                num_files += 1;
+                num_absent += u64::from(!self.chunk(&index, &mut slab, collector)?);
                 if !next_index(&mut index, &here) {
                     break;
                 }
             }
             collector.push_selected(&slab.bytes)?;
         }
+        if num_absent > 0 {
+            let hint = if num_absent == num_files { "; is the dimension separator right?" } else { "" };
+            let text = format!(
+                "chunks not found: {num_absent} of {num_files}, shown as the fill value of the array{hint}"
+            );
+            collector.warn(WarningKind::Data, text);
+        }
         Ok(())
     }
 }
 
 impl ZarrImage {
-    /// Copies the selected part of a chunk or shard into `slab`.
-    fn chunk(&self, index: &[u64], slab: &mut Slab, collector: &Collector) -> Result<(), FormatError> {
+    /// Copies the selected part of a chunk or shard into `slab`. Returns whether its file is there.
+    fn chunk(&self, index: &[u64], slab: &mut Slab, collector: &Collector) -> Result<bool, FormatError> {
         let array = &self.array;
         let path = array.chunk_path(index);
         self.home.check(&path)?;
         let mut file = match File::open(&path) {
             Ok(file) => file,
             // Chunks that are not stored have the fill value, which is in the slab already.
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(false),
             Err(e) => return Err(io_error(&path)(e)),
         };
         let io = io_error(&path);
@@ -189,7 +198,7 @@ impl ZarrImage {
                 Ok(())
             };
         let Some(shard) = &array.shard else {
-            return part(&mut file, 0, length, &start, &array.chunk);
+            return part(&mut file, 0, length, &start, &array.chunk).map(|()| true);
         };
         let inner: Vec<Range<u64>> = array.chunk.iter().zip(&shard.chunk).map(|(n, m)| 0..n / m).collect();
         let table = index_of(&mut file, length, &inner, shard)
@@ -204,7 +213,7 @@ impl ZarrImage {
             }
             next_index(&mut at, &inner);
         }
-        Ok(())
+        Ok(true)
     }
 
     /// Whether a box overlaps the selection.

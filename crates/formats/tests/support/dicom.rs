@@ -33,6 +33,14 @@ pub(crate) fn sequence(tag: (u16, u16), items: &[Vec<Vec<u8>>]) -> Vec<u8> {
 
 /// A file of these elements, which are put in order, and of frames of 2×2 pixels of 16 bits, each frame of one value.
 pub(crate) fn file(syntax: &str, mut elements: Vec<Vec<u8>>, frames: &[u16]) -> Vec<u8> {
+    elements.push(text((0x0028, 0x0008), "IS", &frames.len().to_string()));
+    let pixels: Vec<u8> = frames.iter().flat_map(|v| [v.to_le_bytes(); 4].concat()).collect();
+    with_pixels(syntax, elements, &element((0x7fe0, 0x0010), "OW", &pixels))
+}
+
+/// A file of these elements, which are put in order, and of this element with its pixels. Frames have 2×2 pixels of
+/// 16 bits, unless the elements say otherwise.
+pub(crate) fn with_pixels(syntax: &str, mut elements: Vec<Vec<u8>>, pixels: &[u8]) -> Vec<u8> {
     let short = |number, value: u16| element((0x0028, number), "US", &value.to_le_bytes());
     elements.extend([
         text((0x0008, 0x0060), "CS", "MR"),
@@ -40,7 +48,6 @@ pub(crate) fn file(syntax: &str, mut elements: Vec<Vec<u8>>, frames: &[u16]) -> 
         text((0x0020, 0x0011), "IS", "7"),
         text((0x0008, 0x103e), "LO", "made"),
         text((0x0028, 0x0004), "CS", "MONOCHROME2"),
-        text((0x0028, 0x0008), "IS", &frames.len().to_string()),
     ]);
     elements.extend([(0x02, 1), (0x10, 2), (0x11, 2), (0x100, 16), (0x103, 0)].map(|(n, v)| short(n, v)));
     // What was named first counts.
@@ -48,9 +55,8 @@ pub(crate) fn file(syntax: &str, mut elements: Vec<Vec<u8>>, frames: &[u16]) -> 
         let word = |i: usize| u16::from_le_bytes([e[i], e[i + 1]]);
         (word(0), word(2))
     });
-    let pixels: Vec<u8> = frames.iter().flat_map(|v| [v.to_le_bytes(); 4].concat()).collect();
     let meta = text((0x0002, 0x0010), "UI", syntax);
-    [&[0; 128][..], b"DICM", &meta, &elements.concat(), &element((0x7fe0, 0x0010), "OW", &pixels)].concat()
+    [&[0; 128][..], b"DICM", &meta, &elements.concat(), pixels].concat()
 }
 
 /// Elements and bytes as they are.

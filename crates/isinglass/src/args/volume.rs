@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use glam::Vec3;
 use isinglass_bench::progress::Progress;
 use isinglass_core::volume::{Lighting, Volume};
@@ -19,9 +20,10 @@ use crate::memory::MemoryArgs;
 /// A volume, and the layout of a raw one.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
-    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTI, MRC, NumPy), a raw file with
-    /// --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for N voxels a side)
-    #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>)]
+    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH, NumPy, PNG), also in
+    /// gzip or ZIP, a raw file with --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for
+    /// N voxels a side)
+    #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>, value_parser = any_text())]
     pub(crate) volume: Option<String>,
     #[command(flatten)]
     pub(crate) raw: RawArgs,
@@ -37,13 +39,14 @@ impl VolumeArgs {
     pub(crate) fn volume_source(&self) -> Result<VolumeSource> {
         let (source, raw, selection) = (self.source()?.to_owned(), self.raw.shape(), self.part.selection());
         let (spacing, foreign_files) = (self.part.spacing, self.part.has_foreign_files());
-        Ok(VolumeSource { source, raw, selection, spacing, foreign_files })
+        let stored_slices = self.part.has_stored_slices();
+        Ok(VolumeSource { source, raw, selection, spacing, foreign_files, stored_slices })
     }
 
     /// The volume of a saved state; flags for another part or layout override it.
     pub(crate) fn in_state(&self, saved: VolumeSource) -> Self {
         let of_flags = self.part.selection();
-        let VolumeSource { source, raw, selection: saved, spacing, foreign_files: _ } = saved;
+        let VolumeSource { source, raw, selection: saved, spacing, foreign_files: _, stored_slices } = saved;
         let raw = raw.filter(|_| self.raw.shape().is_none());
         let part = PartArgs {
             channel: of_flags.channel.or(saved.channel),
@@ -52,6 +55,7 @@ impl VolumeArgs {
             series: of_flags.series.or(saved.series),
             region: of_flags.region.or(saved.region),
             foreign_files: self.part.foreign_files,
+            stored_slices: if stored_slices { Switch::On } else { self.part.stored_slices },
             spacing: self.part.spacing.or(spacing).or(raw.map(|r| r.spacing).filter(|s| *s != Vec3::ONE)),
         };
         let raw = raw.map_or_else(|| self.raw.clone(), |raw| RawArgs::of(&raw));
@@ -78,9 +82,15 @@ impl VolumeArgs {
             spacing,
             max_bytes: MemoryArgs::default().bytes(),
             foreign_files: self.part.has_foreign_files(),
+            stored_slices: self.part.has_stored_slices(),
             ..OpenOptions::default()
         }
     }
+}
+
+/// Accepts any name of a file. What is no UTF-8 becomes �, as [`open`] takes it.
+pub(crate) fn any_text() -> impl TypedValueParser<Value = String> {
+    OsStringValueParser::new().map(|name| name.to_string_lossy().into_owned())
 }
 
 /// Runs `read` with a progress display that names the size of the volume.
@@ -126,6 +136,10 @@ pub(crate) struct PartArgs {
     #[arg(long, value_name = "on|off", value_enum, num_args = 0..=1, require_equals = true)]
     #[arg(default_value_t, default_missing_value = "on", hide_possible_values = true)]
     foreign_files: Switch,
+    /// Whether uneven, missing or tilted slices of DICOM stay as they are stored, instead of being resampled
+    #[arg(long, value_name = "on|off", value_enum, num_args = 0..=1, require_equals = true)]
+    #[arg(default_value_t, default_missing_value = "on", hide_possible_values = true)]
+    stored_slices: Switch,
 }
 
 impl PartArgs {
@@ -137,6 +151,11 @@ impl PartArgs {
     /// Whether data files may be outside the folder of their header.
     pub(crate) fn has_foreign_files(&self) -> bool {
         self.foreign_files == Switch::On
+    }
+
+    /// Whether uneven slices stay as they are stored.
+    pub(crate) fn has_stored_slices(&self) -> bool {
+        self.stored_slices == Switch::On
     }
 }
 

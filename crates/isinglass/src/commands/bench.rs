@@ -88,8 +88,14 @@ impl CommonArgs {
         let mut scenes = selection.scenes;
         for scene in &mut scenes {
             let (raw, selection, spacing) = (self.raw.shape(), self.part.selection(), self.part.spacing);
-            let foreign_files = self.part.has_foreign_files();
-            scene.volume = VolumeSource { raw, selection, spacing, foreign_files, ..scene.volume.clone() };
+            scene.volume = VolumeSource {
+                raw,
+                selection,
+                spacing,
+                foreign_files: self.part.has_foreign_files(),
+                stored_slices: self.part.has_stored_slices(),
+                ..scene.volume.clone()
+            };
             // A source that cannot be opened is rejected before hours of measuring.
             scene.check()?;
         }

@@ -15,7 +15,7 @@ use isinglass_server::{ServeOptions, Timing};
 
 use crate::args::{
     BackendArgs, ForesightArgs, LinkArgs, ListArgs, LookArgs, PartArgs, PathArgs, PlanArgs, RawArgs,
-    VolumeArgs, parse_duration, parse_fov, parse_rate, parse_size,
+    VolumeArgs, any_text, parse_duration, parse_fov, parse_rate, parse_size,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -27,7 +27,7 @@ use crate::window_args::WindowArgs;
 #[derive(Args, Clone)]
 pub(crate) struct DemoArgs {
     /// A volume, as for `serve` [default: builtin:shells]
-    #[arg(value_name = "VOLUME")]
+    #[arg(value_name = "VOLUME", value_parser = any_text())]
     volume: Option<String>,
     #[command(flatten)]
     state: StateArgs,
@@ -123,6 +123,7 @@ fn headless(args: DemoArgs, link: LinkModel) -> Result<()> {
         selection: args.part.selection(),
         spacing: args.part.spacing,
         foreign_files: args.part.has_foreign_files(),
+        stored_slices: args.part.has_stored_slices(),
         max_bytes: args.memory.bytes(),
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),

@@ -12,8 +12,8 @@ use isinglass_core::orbit::Orbit;
 
 use super::demo::parse_speed;
 use crate::args::{
-    BackendArgs, ForesightArgs, LinkArgs, ListArgs, LookArgs, PartArgs, PlanArgs, RawArgs, not_an_input,
-    parse_duration, parse_fov, parse_output, parse_rate, parse_size,
+    BackendArgs, ForesightArgs, LinkArgs, ListArgs, LookArgs, PartArgs, PlanArgs, RawArgs, any_text,
+    not_an_input, parse_duration, parse_fov, parse_output, parse_rate, parse_size,
 };
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
@@ -22,7 +22,7 @@ use crate::report::{print, print_json};
 #[derive(Args)]
 pub(super) struct PipelineArgs {
     /// A volume, as for `serve`
-    #[arg(value_name = "VOLUME", default_value = DEFAULT_SOURCE)]
+    #[arg(value_name = "VOLUME", default_value = DEFAULT_SOURCE, value_parser = any_text())]
     volume: String,
     /// Round-trip time between server and viewer [default: the link's, or 20ms]
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
@@ -86,6 +86,7 @@ pub(super) fn run(args: PipelineArgs) -> Result<()> {
         selection: args.part.selection(),
         spacing: args.part.spacing,
         foreign_files: args.part.has_foreign_files(),
+        stored_slices: args.part.has_stored_slices(),
         max_bytes: args.memory.bytes(),
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),

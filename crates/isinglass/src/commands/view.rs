@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use clap::builder::TypedValueParser;
 use isinglass_bench::progress::note;
 use isinglass_client::{
     CameraPath, First, RemoteServer, Waker, WindowOptions, display_available, run_window_with_start,
@@ -14,15 +15,16 @@ use isinglass_client::{
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{
-    LoadRequest, Remembered, SavedState, Selection, load_transfer, state_from_link, write_whole,
+    LoadRequest, Remembered, SavedState, Selection, load_transfer, source_exists, state_from_link,
+    write_whole,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, Tunnel, state_of_link};
 
 use super::demo::{WIDTH_WITH_PANEL, initial_orbit};
 use super::headless::{self, HeadlessArgs, read_links};
 use crate::args::{
-    BackendArgs, ForesightArgs, ListArgs, LookArgs, PartArgs, RawArgs, VolumeArgs, parse_fov, parse_output,
-    parse_size, usage_error,
+    BackendArgs, ForesightArgs, ListArgs, LookArgs, PartArgs, RawArgs, VolumeArgs, any_text, parse_fov,
+    parse_output, parse_size, usage_error,
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
@@ -37,7 +39,7 @@ pub(crate) struct ViewerArgs {
     /// The link that `serve` printed, quoted in a shell, or - to read it from standard input, which keeps it off the
     /// list of processes; or a volume of this machine, as for `serve`; or one that ssh reaches, such as host:/path or
     /// ssh://user@host:port/path, for which a server is started there [default: a page to choose one]
-    #[arg(value_name = "LINK|VOLUME", value_parser = parse_target)]
+    #[arg(value_name = "LINK|VOLUME", value_parser = any_text().try_map(|text: String| parse_target(&text)))]
     target: Option<Target>,
     #[command(flatten)]
     state: StateArgs,
@@ -200,7 +202,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         ..WindowOptions::default()
     };
     let limit = args.memory.bytes();
-    let foreign_files = args.part.has_foreign_files();
+    let (foreign_files, stored_slices) = (args.part.has_foreign_files(), args.part.has_stored_slices());
     let (target, remote, tunnel) = match target {
         Some(Target::Remote(volume, text)) => {
             let order = remote::order(seen.given(), args.look.tf.as_deref())?;
@@ -222,7 +224,8 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             return write_path(args.record.as_deref(), recorder.as_deref());
         }
         Some(Target::Volume(source)) => {
-            Some(LoadRequest { source, raw, selection, spacing, max_bytes: limit, foreign_files })
+            let max_bytes = limit;
+            Some(LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices })
         }
         None if of_state => {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
@@ -294,7 +297,7 @@ fn parse_target(text: &str) -> Result<Target, String> {
     if text == "-" {
         return Ok(Target::Input);
     }
-    let is_here = text.starts_with("builtin:") || Path::new(text).exists();
+    let is_here = source_exists(text);
     if !is_here && let Some(volume) = RemoteVolume::parse(text) {
         return volume.map(|volume| Target::Remote(volume, text.to_owned()));
     }

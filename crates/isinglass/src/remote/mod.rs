@@ -189,6 +189,7 @@ const OF_SERVER: &[&str] = &[
     "region",
     "spacing",
     "foreign_files",
+    "stored_slices",
 ];
 
 #[cfg(test)]
