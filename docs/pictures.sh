@@ -75,10 +75,11 @@ close() {
 
 # Whether the badge has the colour of a picture that becomes better, in the dark or the light theme.
 is_refining() {
-    local color
+    local color scale=${WINIT_X11_SCALE_FACTOR:-1}
+    local size=$((242 * scale))x$((40 * scale))
     for color in 'rgb(110,175,245)' 'rgb(18,88,176)'; do
-        import -window root -crop 242x40+10+45 rgb:- |
-            convert -size 242x40 -depth 16 rgb:- -depth 8 -fill black +opaque "$color" -format '%k' info: |
+        import -window root -crop "$size+$((10 * scale))+$((45 * scale))" rgb:- |
+            convert -size "$size" -depth 16 rgb:- -depth 8 -fill black +opaque "$color" -format '%k' info: |
             grep -qx 1 || return 0
     done
     return 1
