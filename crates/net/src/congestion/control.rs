@@ -10,6 +10,7 @@
 //! - The least round trip is that of the last ten seconds. A queue that never empties is drained once in that time.
 //! - A queue that stays although this side has made room is another flow's. Then the window follows losses, as that
 //!   flow's does, or it would get all of the link.
+//! - A delay that comes at once, and does not fall with what is in flight, is a longer path's. It is measured anew.
 //!
 //! Ideas are from BBR (Cardwell et al. 2016), Copa (Arun and Balakrishnan 2018) and Pudica (Wang et al. 2024).
 
@@ -45,6 +46,10 @@ pub(super) struct DelayControl {
     round: Round,
     /// Since when the queue is longer than this side makes it, µs.
     queued_since: Option<f64>,
+    /// The queue of the round trip before, µs.
+    last_queue: f64,
+    /// The fullest round trip of a delay that came at once.
+    delayed: Option<Round>,
     competing: Option<Competing>,
     /// The end of a drain, µs.
     drained_at: Option<f64>,
@@ -111,6 +116,8 @@ impl DelayControl {
             num_free: 0,
             round: Round::begin(now),
             queued_since: None,
+            last_queue: 0.0,
+            delayed: None,
             competing: None,
             drained_at: None,
             losses: [Losses::default(); 2],
@@ -222,6 +229,10 @@ impl DelayControl {
             // It queues before any busy time could be measured.
             self.rate = Some((round.acked / (now - round.begun_at).max(1.0)).max(self.mtu / 1e6));
         }
+        if self.is_longer_path(&round, queue) {
+            self.measure_anew(now, &round);
+            return;
+        }
         match self.note_queue(now, queue) {
             ControlFlow::Break(()) => return,
             ControlFlow::Continue(()) => {}
@@ -255,6 +266,32 @@ impl DelayControl {
         if self.least.is_old(now) && self.drained_at.is_none() {
             self.drained_at = Some(now + self.smooth_rtt + QUEUE_MICROS);
         }
+    }
+
+    /// Whether the delay came at once and stays while less is in flight. A queue of this side would shrink as much.
+    fn is_longer_path(&mut self, round: &Round, queue: f64) -> bool {
+        let before = std::mem::replace(&mut self.last_queue, queue);
+        if self.competing.is_some() || queue < SUDDEN_MICROS {
+            self.delayed = None;
+            return false;
+        }
+        if before < QUEUE_MICROS || self.delayed.is_some_and(|fullest| round.acked > fullest.acked) {
+            self.delayed = Some(*round);
+        }
+        self.delayed.is_some_and(|fullest| {
+            round.acked < 0.75 * fullest.acked && round.least_rtt > 0.9 * fullest.least_rtt
+        })
+    }
+
+    /// Forgets what was known of the path before this round trip.
+    fn measure_anew(&mut self, now: f64, round: &Round) {
+        self.least = LeastRoundTrip::default();
+        self.least.add(now, round.least_rtt);
+        self.busy = Busy::default();
+        let held = self.rate.take().unwrap_or(0.0) * round.least_rtt;
+        self.start_window = held.min(NEW_PATH_BYTES).max(round.acked);
+        (self.caution, self.growth, self.num_free) = (1.0, 1.0, 0);
+        (self.queued_since, self.delayed, self.last_queue) = (None, None, 0.0);
     }
 
     /// Notes how long the queue was for a whole round trip, µs. Enters and leaves the competition.
@@ -328,7 +365,7 @@ impl Busy {
         (self.bytes, self.arriving, self.sending) =
             (self.bytes * kept, self.arriving * kept, self.sending * kept);
         // It was at the bottleneck before the packet before it had left.
-        let is_busy = batch.sent.0 + least <= last_now;
+        let is_busy = batch.sent.0 + least <= last_now && elapsed < LONGEST_BUSY_MICROS;
         let pending = is_busy.then(|| (batch.bytes, elapsed, (batch.sent.1 - last_sent).max(0.0)));
         if let Some((bytes, arriving, sending)) = std::mem::replace(&mut self.pending, pending)
             && is_busy
@@ -420,6 +457,8 @@ const QUEUE_MICROS: f64 = 15e3;
 /// Loss that no queue explains is borne up to this share.
 const MAX_LOSS: f64 = 0.1;
 const LEAST_CAUTION: f64 = 0.3;
+/// A delay that comes within one round trip and may be a longer path's.
+const SUDDEN_MICROS: f64 = 4.0 * QUEUE_MICROS;
 /// How long a queue must stay, or be gone, until another flow is held responsible.
 const PATIENCE_MICROS: f64 = 400e3;
 /// The competition is that of a loss-based flow, somewhat bolder than NewReno.
@@ -432,7 +471,11 @@ const DRAINING: f64 = 0.6;
 const LEAST_FOR_MICROS: f64 = 10e6;
 const NEAR_LEAST_MICROS: f64 = 8e3;
 const FEWEST_BUSY_MICROS: f64 = 6e3;
+/// So long without a packet is a pause, and not a packet's time on the wire.
+const LONGEST_BUSY_MICROS: f64 = 60e3;
 const FLOOR_MICROS: f64 = 20e3;
+/// What a path of unknown rate takes at first.
+const NEW_PATH_BYTES: f64 = 64e3;
 const FEWEST_BATCHES: u32 = 3;
 const FEW_FREE: u32 = 2;
 const FEWEST_PACKETS: f64 = 4.0;
