@@ -117,7 +117,8 @@ fn every_edit_is_on_the_screen_and_exact_in_the_end() {
     assert!(seen.iter().filter(|of_edit| !of_edit.is_empty()).count() > 10, "the editor starves");
 }
 
-/// Work that has all shared threads of the process until it is dropped, as the shade of a large volume has for seconds.
+/// Work that has all shared threads of the process until it is dropped. The shade of a large volume has them for
+/// seconds.
 struct LongWork(Arc<AtomicBool>);
 
 impl LongWork {

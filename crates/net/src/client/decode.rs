@@ -70,8 +70,8 @@ pub(super) fn run(shared: &Shared) {
     }
 }
 
-/// The threads that decode, for all clients of the process; `None` if the system has no threads left. On shared ones, a
-/// frame would wait for long work of a server in the same process, such as the shade of a new look.
+/// The threads that decode, for all clients of the process; `None` if the system gives none. On shared ones, a frame
+/// would wait for long work of a server in the same process, such as the shade of a new look.
 fn decoders() -> Option<&'static ThreadPool> {
     static THREADS: OnceLock<Option<ThreadPool>> = OnceLock::new();
     let make = || {
