@@ -6,7 +6,7 @@ use std::cell::OnceCell;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use isinglass_client::{Foresight, FrameSize, Standing, Viewing};
@@ -124,7 +124,8 @@ struct LongWork(Arc<AtomicBool>);
 impl LongWork {
     fn begin() -> Self {
         let is_over = Arc::new(AtomicBool::new(false));
-        let (sender, begun) = channel();
+        let num_threads = rayon::current_num_threads();
+        let (sender, begun) = sync_channel(num_threads);
         let work = is_over.clone();
         rayon::spawn_broadcast(move |_| {
             sender.send(()).unwrap();
@@ -132,7 +133,7 @@ impl LongWork {
                 std::thread::sleep(Duration::from_millis(1));
             }
         });
-        (0..rayon::current_num_threads()).for_each(|_| begun.recv().unwrap());
+        (0..num_threads).for_each(|_| begun.recv().unwrap());
         Self(is_over)
     }
 }
@@ -154,7 +155,7 @@ fn an_edit_does_not_wait_for_long_work_of_a_server_in_the_same_process() {
     let seen = play(shells(), picture, &[edit], None);
     assert!(seen[0].last().unwrap().is_exact);
     // The control: the shared threads do nothing else until then.
-    let (sender, answer) = channel();
+    let (sender, answer) = sync_channel(1);
     rayon::spawn(move || sender.send(()).unwrap());
     assert!(answer.recv_timeout(Duration::from_millis(100)).is_err());
     drop(work);

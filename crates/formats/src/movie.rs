@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
 use crate::error::{FormatError, io_error};
-use crate::output::{file_beside, remove_leftovers, resolved};
+use crate::output::{file_beside, folder_of, remove_leftovers, resolved};
 use crate::png::Rgb8;
 
 /// The form of a movie.
@@ -67,9 +67,7 @@ impl MovieWriter {
     ) -> Result<Self, FormatError> {
         let failed = io_error(path);
         let path = &resolved(path);
-        if let Some(folder) = path.parent() {
-            remove_leftovers(folder);
-        }
+        remove_leftovers(folder_of(path));
         let Some(file) = file_beside(path).map_err(&failed)? else {
             return Err(failed(io::Error::other("a movie needs a file of its own")));
         };

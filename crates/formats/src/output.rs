@@ -86,16 +86,20 @@ pub(crate) fn file_beside(path: &Path) -> io::Result<Option<NamedTempFile<File>>
         Ok(found) if !found.is_file() => return Ok(None),
         _ => {}
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
     // A temporary file is its owner's alone by default; this one becomes a file like any other, by the umask.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder.tempfile_in(folder.unwrap_or(Path::new(".")))?;
+    let file = builder.tempfile_in(folder_of(path))?;
     // Some file systems have no locks. There, leftovers stay.
     let _ = file.as_file().try_lock();
     Ok(Some(file))
+}
+
+/// Where a file is: the present folder if its path names none.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 const PREFIX: &str = ".isinglass-";
@@ -163,6 +167,8 @@ mod tests {
         assert!(!left_path.exists());
         assert!(written.path().exists() && young.1.exists() && foreign.exists());
         remove_leftovers(&folder.path().join("no such folder"));
+        assert_eq!(folder_of(Path::new("movie.gif")), Path::new("."));
+        assert_eq!(folder_of(&path), folder.path());
     }
 
     #[cfg(unix)]
