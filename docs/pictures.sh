@@ -75,10 +75,11 @@ close() {
 
 # Whether the badge has the colour of a picture that becomes better, in the dark or the light theme.
 is_refining() {
-    local color
+    local color scale=${WINIT_X11_SCALE_FACTOR:-1}
+    local size=$((242 * scale))x$((40 * scale))
     for color in 'rgb(110,175,245)' 'rgb(18,88,176)'; do
-        import -window root -crop 242x40+10+45 rgb:- |
-            convert -size 242x40 -depth 16 rgb:- -depth 8 -fill black +opaque "$color" -format '%k' info: |
+        import -window root -crop "$size+$((10 * scale))+$((45 * scale))" rgb:- |
+            convert -size "$size" -depth 16 rgb:- -depth 8 -fill black +opaque "$color" -format '%k' info: |
             grep -qx 1 || return 0
     done
     return 1
@@ -193,9 +194,9 @@ fi
 picture viewer "" demo "${bonsai[@]}" --rtt 200ms --size 1100x760
 moving viewer demo "${bonsai[@]}" --rtt 200ms --bars off --size 640x420
 picture guide-start "" view
-picture guide-editor "" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
-picture guide-mip "" demo avm.nrrd --rtt 50ms --mode mip --orbit 0,-70,2
-picture guide-iso "" demo "${bonsai[@]}" --rtt 50ms --mode iso --iso 40:0.3,120 --size 1100x760
-picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7
-picture guide-clip c demo mouse_brain.nrrd --rtt 50ms --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20
-picture guide-measure "x d 217,718 500,230 600,290" demo bonsai.nrrd --rtt 50ms --orbit 30,20,2
+picture guide-editor "" view bonsai.nrrd --orbit 30,20,2 --backend cpu
+picture guide-mip "" view avm.nrrd --mode mip --orbit 0,-70,2 --backend cpu
+picture guide-iso "" demo "${bonsai[@]}" --rtt 50ms --mode iso --iso 40:0.3,120 --size 1100x760 --backend cpu
+picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7 --backend cpu
+picture guide-clip c view mouse_brain.nrrd --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20 --backend cpu
+picture guide-measure "x d 217,718 500,230 600,290" view bonsai.nrrd --orbit 30,20,2 --backend cpu

@@ -2,8 +2,11 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::cell::OnceCell;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use isinglass_client::{Foresight, FrameSize, Standing, Viewing};
@@ -30,7 +33,7 @@ struct Seen {
 fn play(
     (volume, look): (Volume, Look),
     picture: Intrinsics,
-    edits: &[fn(&mut Look)],
+    edits: &[impl Fn(&mut Look)],
     pause: Option<Duration>,
 ) -> Vec<Vec<Seen>> {
     let mut threads = tokio::runtime::Builder::new_multi_thread();
@@ -112,6 +115,51 @@ fn every_edit_is_on_the_screen_and_exact_in_the_end() {
     let edits: Vec<fn(&mut Look)> = (0..40).map(|i| EDITS[i % 2]).collect();
     let seen = play(shells(), picture, &edits, Some(Duration::from_millis(120)));
     assert!(seen.iter().filter(|of_edit| !of_edit.is_empty()).count() > 10, "the editor starves");
+}
+
+/// Work that has all shared threads of the process until it is dropped. The shade of a large volume has them for
+/// seconds.
+struct LongWork(Arc<AtomicBool>);
+
+impl LongWork {
+    fn begin() -> Self {
+        let is_over = Arc::new(AtomicBool::new(false));
+        let num_threads = rayon::current_num_threads();
+        let (sender, begun) = sync_channel(num_threads);
+        let work = is_over.clone();
+        rayon::spawn_broadcast(move |_| {
+            sender.send(()).unwrap();
+            while !work.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        });
+        (0..num_threads).for_each(|_| begun.recv().unwrap());
+        Self(is_over)
+    }
+}
+
+impl Drop for LongWork {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn an_edit_does_not_wait_for_long_work_of_a_server_in_the_same_process() {
+    let picture = Intrinsics::perspective(96, 64, 0.6);
+    let work = OnceCell::new();
+    let edit = |look: &mut Look| {
+        work.get_or_init(LongWork::begin);
+        EDITS[0](look);
+    };
+    let seen = play(shells(), picture, &[edit], None);
+    assert!(seen[0].last().unwrap().is_exact);
+    // The control: the shared threads do nothing else until then.
+    let (sender, answer) = sync_channel(1);
+    rayon::spawn(move || sender.send(()).unwrap());
+    assert!(answer.recv_timeout(Duration::from_millis(100)).is_err());
+    drop(work);
+    answer.recv().unwrap();
 }
 
 /// How soon an edit is seen without a GPU, in numbers.

@@ -70,7 +70,7 @@ pub use error::{FormatError, HeaderError};
 pub use facts::{PERCENTILES, VolumeFacts};
 pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline};
-pub use output::{check_writable, write_whole};
+pub use output::{check_writable, remove_leftovers, write_new, write_whole};
 pub use presets::{default_preset, default_transfer, fitting_presets, preset, preset_names};
 pub use raw::RawShape;
 pub use recent::{Recent, RecentEntry, RecentPlace};

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
 use crate::error::{FormatError, io_error};
-use crate::output::{file_beside, resolved};
+use crate::output::{file_beside, folder_of, remove_leftovers, resolved};
 use crate::png::Rgb8;
 
 /// The form of a movie.
@@ -40,7 +40,7 @@ impl MovieForm {
     }
 }
 
-/// A movie that is being written. Dropping it leaves no file.
+/// A movie that is being written. Dropping it leaves no file. What a killed program leaves goes with the next movie.
 pub struct MovieWriter {
     path: PathBuf,
     file: NamedTempFile<File>,
@@ -67,6 +67,7 @@ impl MovieWriter {
     ) -> Result<Self, FormatError> {
         let failed = io_error(path);
         let path = &resolved(path);
+        remove_leftovers(folder_of(path));
         let Some(file) = file_beside(path).map_err(&failed)? else {
             return Err(failed(io::Error::other("a movie needs a file of its own")));
         };

@@ -1,8 +1,9 @@
 //! Files that are written whole or not at all.
 
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use tempfile::NamedTempFile;
 
@@ -23,6 +24,47 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FormatError> {
     write(resolved(path)).map_err(io_error(path))
 }
 
+/// Writes `bytes` to a new file, which appears under its name as a whole.
+///
+/// # Errors
+/// [`ErrorKind::AlreadyExists`] if there is such a file, and whatever else the system refuses. No part of it stays.
+pub fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let found = fs::symlink_metadata(path).is_ok();
+    let Some(mut file) = (if found { None } else { file_beside(path)? }) else {
+        return Err(ErrorKind::AlreadyExists.into());
+    };
+    file.write_all(bytes)?;
+    file.as_file().sync_all()?;
+    match file.persist_noclobber(path) {
+        Ok(_) => Ok(()),
+        Err(e) if e.error.kind() == ErrorKind::AlreadyExists => Err(e.error),
+        // Some file systems cannot rename without replacing.
+        Err(_) => {
+            let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
+            file.write_all(bytes).inspect_err(|_| drop(fs::remove_file(path)))
+        }
+    }
+}
+
+/// Removes the unfinished files of programs that were killed, as far as the system lets it.
+pub fn remove_leftovers(folder: &Path) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let is_ours = name.to_str().is_some_and(|name| name.starts_with(PREFIX) && name.ends_with(SUFFIX));
+        if !is_ours {
+            continue;
+        }
+        let changed = entry.metadata().ok().filter(fs::Metadata::is_file).and_then(|m| m.modified().ok());
+        let is_old = changed.and_then(|at| at.elapsed().ok()).is_some_and(|age| age > LOCKED_AFTER);
+        // Who writes a file holds its lock, which ends with the process.
+        let is_left =
+            || OpenOptions::new().write(true).open(entry.path()).is_ok_and(|f| f.try_lock().is_ok());
+        if is_old && is_left() {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// Whether [`write_whole`] can make its file. Call it before long work whose result would be lost.
 ///
 /// # Errors
@@ -36,20 +78,34 @@ pub(crate) fn resolved(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
 }
 
-/// A temporary file in the folder of `path`, deleted unless it is kept; `None` if `path` is a device or pipe.
+/// A temporary file in the folder of `path`, deleted unless it is kept; `None` if `path` is a device or pipe. It is
+/// locked, so that [`remove_leftovers`] knows it from one whose program was killed.
 pub(crate) fn file_beside(path: &Path) -> io::Result<Option<NamedTempFile<File>>> {
     match fs::metadata(path) {
-        Ok(found) if found.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+        Ok(found) if found.is_dir() => return Err(ErrorKind::IsADirectory.into()),
         Ok(found) if !found.is_file() => return Ok(None),
         _ => {}
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let mut builder = tempfile::Builder::new();
+    builder.prefix(PREFIX).suffix(SUFFIX);
     // A temporary file is its owner's alone by default; this one becomes a file like any other, by the umask.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder.unwrap_or(Path::new("."))).map(Some)
+    let file = builder.tempfile_in(folder_of(path))?;
+    // Some file systems have no locks. There, leftovers stay.
+    let _ = file.as_file().try_lock();
+    Ok(Some(file))
 }
+
+/// Where a file is: the present folder if its path names none.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+const PREFIX: &str = ".isinglass-";
+const SUFFIX: &str = ".part";
+/// By this age, the writer has locked its file.
+const LOCKED_AFTER: Duration = Duration::from_secs(3);
 
 #[cfg(test)]
 mod tests {
@@ -76,6 +132,43 @@ mod tests {
             assert!(write_whole(&path, b"x").is_err() && check_writable(&path).is_err(), "{path:?}");
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_new_file_replaces_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        write_new(&path, b"first").unwrap();
+        assert_eq!(write_new(&path, b"second").unwrap_err().kind(), ErrorKind::AlreadyExists);
+        assert_eq!(write_new(folder.path(), b"x").unwrap_err().kind(), ErrorKind::AlreadyExists);
+        assert!(write_new(&folder.path().join("none").join("a.png"), b"x").is_err());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "first");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_a_killed_program_leaves_is_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("movie.gif");
+        let new = || file_beside(&path).unwrap().unwrap();
+        let age = |file: &File| file.set_modified(std::time::SystemTime::now() - LOCKED_AFTER * 2).unwrap();
+        // A killed program deletes nothing, but its locks end.
+        let left = new().keep().unwrap();
+        age(&left.0);
+        let written = new();
+        age(written.as_file());
+        let young = new().keep().unwrap();
+        let foreign = folder.path().join(".tmpAbCdEf");
+        fs::write(&foreign, "").unwrap();
+        age(&OpenOptions::new().write(true).open(&foreign).unwrap());
+        let left_path = left.1.clone();
+        drop((left, young.0));
+        remove_leftovers(folder.path());
+        assert!(!left_path.exists());
+        assert!(written.path().exists() && young.1.exists() && foreign.exists());
+        remove_leftovers(&folder.path().join("no such folder"));
+        assert_eq!(folder_of(Path::new("movie.gif")), Path::new("."));
+        assert_eq!(folder_of(&path), folder.path());
     }
 
     #[cfg(unix)]

@@ -82,7 +82,7 @@ impl<S: FrameSource> ViewerApp<S> {
             _ => name.clone(),
         };
         let size = source.description().map(|of| size_of(&of.volume)).unwrap_or_default();
-        let (server, size) = (small(server), small(format!("{}  {size}", self.title)));
+        let (server, size) = (small(server), small(format!("{} {size}", self.title)));
         ui.horizontal_centered(|ui| {
             ui.add(egui::Label::new(size).truncate());
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {

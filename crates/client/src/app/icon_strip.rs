@@ -8,7 +8,7 @@ use crate::panels::style::{self, icon, title};
 /// Shows the strip at the right of `ui`, and the chosen one of the sections over what is left. `content` fills it.
 pub(crate) fn show(ui: &mut Ui, sections: &[&'static str], content: impl FnOnce(&mut Ui, &'static str)) {
     let ctx = ui.ctx().clone();
-    let id = Id::unique("the section over the picture");
+    let id = shown_id();
     let mut shown: Option<&'static str> = ui.data(|data| data.get_temp(id)).unwrap_or(Some(FIRST));
     let strip = Panel::right("look strip").frame(style::bar(&ctx)).resizable(false).exact_size(WIDTH);
     strip.show(ui, |ui| {
@@ -40,6 +40,20 @@ pub(crate) fn show(ui: &mut Ui, sections: &[&'static str], content: impl FnOnce(
             });
         });
     });
+}
+
+/// All sections are docked: when the window becomes narrow, none of them covers the picture.
+pub(crate) fn note_docked(ui: &Ui) {
+    ui.data_mut(|data| data.insert_temp(shown_id(), None::<&'static str>));
+}
+
+/// The panel is closed: when a narrow window opens it again, the first section is there.
+pub(crate) fn note_closed(ui: &Ui) {
+    ui.data_mut(|data| data.remove::<Option<&'static str>>(shown_id()));
+}
+
+fn shown_id() -> Id {
+    Id::unique("the section over the picture")
 }
 
 fn icon_of(section: &str) -> Icon {

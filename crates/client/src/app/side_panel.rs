@@ -57,6 +57,7 @@ pub(crate) fn show(
 ) -> Option<StateWish> {
     let mut wish = None;
     if !*is_open {
+        icon_strip::note_closed(ui);
         return None;
     }
     let mut sections = |ui: &mut Ui, layout: Layout| {
@@ -89,6 +90,7 @@ pub(crate) fn show(
         icon_strip::show(ui, &SECTIONS, |ui, name| sections(ui, Layout::Only(name)));
         return wish;
     }
+    icon_strip::note_docked(ui);
     // A small window keeps most of its room for the picture.
     let widest = (ui.available_width() * 0.6).max(LEAST_WIDTH);
     let panel = Panel::right("look").frame(frame).resizable(true).default_size(PANEL_WIDTH.min(widest));

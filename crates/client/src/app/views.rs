@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use isinglass_core::camera::{Camera, Intrinsics};
+use isinglass_core::camera::{Camera, Intrinsics, Projection};
 use isinglass_core::ids::PoseId;
 use isinglass_formats::{MAX_VIEWS, NamedView, UpAxis};
 use isinglass_net::ReceivedFrame;
@@ -114,14 +114,18 @@ impl<S: FrameSource> ViewerApp<S> {
         let Some(frame) = frame.filter(|f| self.joins_leader && f.frame.header.pose == PoseId(0)) else {
             return;
         };
-        let Some((_, controls)) = &self.controls else { return };
+        let (Some((_, controls)), Some(window)) = (&self.controls, self.window) else { return };
         self.joins_leader = false;
         let Camera { pose, intrinsics, .. } = frame.frame.header.camera;
         let center = controls.center();
         let is_orthographic = intrinsics.projection.is_orthographic();
         let from = Viewpoint::of(controls, self.is_orthographic);
         let world_from_view = pose.world_from_view;
-        let eye_from_center = world_from_view.inverse() * (pose.eye - center);
+        let mut eye_from_center = world_from_view.inverse() * (pose.eye - center);
+        if let Projection::Orthographic { height } = intrinsics.projection {
+            // Such an eye lies before the volume. Its height is what perspective shows at the centre's depth.
+            eye_from_center.z = 0.5 * height / window.half_size_at(1.0).1;
+        }
         let to = Viewpoint { center, world_from_view, eye_from_center, is_orthographic };
         if to.place(&mut controls.clone()) {
             self.is_orthographic = is_orthographic;

@@ -1,13 +1,11 @@
 //! Work that may wait for a disk, on a thread of its own: the window never waits.
 
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
 use std::time::Duration;
 
-use isinglass_formats::write_whole;
+use isinglass_formats::{write_new, write_whole};
 
 use crate::view::Waker;
 
@@ -79,7 +77,7 @@ pub(crate) enum Written {
 pub(crate) fn write_text(path: PathBuf, text: &str, replaces: bool) -> Result<Written, String> {
     if replaces {
         write_whole(&path, text.as_bytes()).map_err(|e| e.to_string())?;
-    } else if let Err(e) = create(&path, text.as_bytes()) {
+    } else if let Err(e) = write_new(&path, text.as_bytes()) {
         return match e.kind() {
             std::io::ErrorKind::AlreadyExists => Ok(Written::Exists(path)),
             _ => Err(format!("{}: {e}", path.display())),
@@ -112,15 +110,6 @@ pub(crate) fn write_with_folder(path: &Path, bytes: &[u8]) -> Result<(), String>
     let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
     folder.map_err(|e| format!("{}: {e}", path.display()))?;
     write_whole(path, bytes).map_err(|e| e.to_string())
-}
-
-/// Creates a file with these bytes.
-///
-/// # Errors
-/// If there is a file already, or it cannot be written. Half a file does not stay.
-pub(crate) fn create(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
-    file.write_all(bytes).inspect_err(|_| drop(std::fs::remove_file(path)))
 }
 
 /// The path that a person wrote: without blanks around it, and with `~` for the home folder.

@@ -96,7 +96,10 @@ impl Gallery {
             *self = Self { shown: Some((volume.clone(), look.clone())), since: now, ..Self::default() };
             return;
         };
-        let is_lit_alike = (shown.shaded, shown.clip) == (look.shaded, look.clip);
+        // A box around the whole volume cuts nothing away.
+        let bounds = volume.bounds();
+        let is_cut_alike = shown.clip.region(&bounds) == look.clip.region(&bounds);
+        let is_lit_alike = shown.shaded == look.shaded && is_cut_alike;
         let (has_transfer, has_isos) = (shown.transfer == look.transfer, shown.isos == look.isos);
         if is_lit_alike && has_transfer && has_isos {
             return;

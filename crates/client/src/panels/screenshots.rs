@@ -96,6 +96,11 @@ enum Stored {
     InMovie(MovieWriter, PathBuf),
 }
 
+/// Removes half movies of windows that were killed. It may wait for the disk.
+pub(crate) fn remove_leftovers() {
+    isinglass_formats::remove_leftovers(&files::default_folder());
+}
+
 impl Default for Screenshots {
     fn default() -> Self {
         let folder = files::default_folder().display().to_string();

@@ -167,7 +167,7 @@ impl SlicePanes {
                     self.slab.mode = mode;
                 }
             }
-            controls::checkbox(ui, &mut self.is_in_picture, "over the volume")
+            controls::checkbox(ui, &mut self.is_in_picture, "show in 3D")
                 .on_hover_text("draw the slices over the picture of the volume, too");
             if width >= WIDTH_WITH_WINDOW {
                 ui.separator();

@@ -172,7 +172,7 @@ impl StartPage {
             ui.horizontal(|ui| {
                 let width = (ui.available_width() - 84.0).max(60.0);
                 let field = egui::TextEdit::singleline(&mut self.link_text).desired_width(width);
-                let field = ui.add(field.hint_text("isinglass://host:port/#… or host:/path"));
+                let field = ui.add(field.hint_text("a link, or host:/path"));
                 named(&field, egui::Role::TextInput, "link");
                 if std::mem::take(&mut self.wants_link_focus) {
                     field.request_focus();

@@ -17,6 +17,7 @@ use crate::app::{ViewerApp, theme_preference};
 use crate::paint::gpu_timer::timer_features;
 use crate::paint::novel_view::{LAYERS, NovelViews};
 use crate::paint::picture::{self, PictureStatus};
+use crate::panels::screenshots;
 use crate::start::{First, Nothing, Services, StartWindow};
 use crate::view::frame_source::FrameSource;
 use crate::view::{Waker, waker_of};
@@ -130,6 +131,8 @@ fn open_window(
         event_loop_builder: Some(Box::new(choose_window_system)),
         ..Default::default()
     };
+    // Without a thread they stay for the next time.
+    let _ = std::thread::Builder::new().name("leftovers".into()).spawn(screenshots::remove_leftovers);
     let mut options = options;
     let was_open = Arc::new(AtomicBool::new(false));
     let opened = was_open.clone();

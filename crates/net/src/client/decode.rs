@@ -2,13 +2,14 @@
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, OnceLock, PoisonError};
 use std::time::Duration;
 
 use isinglass_core::codec;
 use isinglass_core::codec::blocks::References;
 use isinglass_core::layer::LayeredFrame;
 use isinglass_core::session::chunks::DecodeJob;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::{ReceivedFrame, Shared};
 use crate::work::Work;
@@ -31,7 +32,11 @@ pub(super) fn run(shared: &Shared) {
         let begun_micros = shared.clock.now_micros();
         let spare = given.take();
         let attempt = shared.after_work.run(Work::Decode, || {
-            catch_unwind(AssertUnwindSafe(|| codec::decode_with(&job.chunks, &references, spare)))
+            let decode = || codec::decode_with(&job.chunks, &references, spare);
+            catch_unwind(AssertUnwindSafe(|| match decoders() {
+                Some(threads) => threads.install(decode),
+                None => decode(),
+            }))
         });
         let decoded = match attempt {
             Ok(decoded) => decoded.map_err(|e| e.to_string()),
@@ -63,6 +68,18 @@ pub(super) fn run(shared: &Shared) {
         tracing::trace!("decoded");
         (shared.wake)();
     }
+}
+
+/// The threads that decode, for all clients of the process; `None` if the system gives none. On shared ones, a frame
+/// would wait for long work of a server in the same process, such as the shade of a new look.
+fn decoders() -> Option<&'static ThreadPool> {
+    static THREADS: OnceLock<Option<ThreadPool>> = OnceLock::new();
+    let make = || {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = ThreadPoolBuilder::new().num_threads(cores.min(MAX_DECODERS));
+        threads.thread_name(|i| format!("decode {i}")).build().ok()
+    };
+    THREADS.get_or_init(make).as_ref()
 }
 
 /// Waits for the next job; `None` when the client stops.
@@ -99,6 +116,8 @@ impl Given {
     }
 }
 
+/// More threads do not decode a frame faster.
+const MAX_DECODERS: usize = 8;
 /// The viewer shows the newest, may still use the previous one, and may keep one more.
 const MAX_GIVEN: usize = 3;
 

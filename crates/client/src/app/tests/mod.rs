@@ -45,6 +45,9 @@ struct Here {
     look: (LookVersion, Arc<Look>),
     wanted: Option<Look>,
     asked: Option<(Pose, Intrinsics)>,
+    /// The camera of another person, whose frames come while the window follows.
+    leader: Option<Camera>,
+    is_following: bool,
     frame: Option<Arc<ReceivedFrame>>,
     num_frames: u32,
     num_looks: usize,
@@ -72,6 +75,8 @@ impl HereSource {
             look: (LookVersion(1), Arc::new(look)),
             wanted: None,
             asked: None,
+            leader: None,
+            is_following: false,
             frame: None,
             num_frames: 0,
             num_looks: 0,
@@ -119,6 +124,10 @@ impl HereSource {
                     }
                 }
                 ClientMessage::CancelScreenshot => here.num_cancelled += 1,
+                ClientMessage::Follow(leader) => {
+                    here.is_following = leader.is_some();
+                    here.render();
+                }
                 ClientMessage::WantSlices(list) => {
                     here.num_slice_lists += 1;
                     here.num_wanted_slices = list.slices.len();
@@ -175,11 +184,14 @@ impl Here {
     fn render(&mut self) {
         let Some((pose, intrinsics)) = self.asked.filter(|_| !self.sleeps) else { return };
         self.num_frames += 1;
+        let own = Camera::new(pose, intrinsics, &self.scene.volume.bounds());
+        let led = self.leader.filter(|_| self.is_following);
         let header = FrameHeader {
             frame: FrameId(self.num_frames),
-            pose: PoseId(self.num_frames),
+            // A leader's frame answers no pose of this window.
+            pose: if led.is_some() { PoseId(0) } else { PoseId(self.num_frames) },
             look: self.look.0,
-            camera: Camera::new(pose, intrinsics, &self.scene.volume.bounds()),
+            camera: led.unwrap_or(own),
             k: self.look.1.k,
             mode: Default::default(),
         };

@@ -45,6 +45,23 @@ fn in_a_narrow_window_icons_open_the_sections_over_the_picture() {
 }
 
 #[test]
+fn a_window_that_becomes_narrow_shows_its_picture() {
+    let has_curve =
+        |w: &Harness<'_, ViewerApp<HereSource>>| w.query_by_label("opacity over values").is_some();
+    let mut w = window([900.0, 700.0]);
+    open_panel(&mut w);
+    w.set_size(vec2(700.0, 500.0));
+    rest(&mut w);
+    assert!(!has_curve(&w) && w.query_by_role_and_label(egui::Role::CheckBox, "Light").is_some());
+    w.get_by_role_and_label(egui::Role::CheckBox, "Transfer function").click();
+    rest(&mut w);
+    assert!(has_curve(&w), "by choice");
+    // Negative control: who opens the panel of a narrow window wants to see it.
+    press(&mut w, Modifiers::NONE, Key::L);
+    open_panel(&mut w);
+}
+
+#[test]
 fn a_hint_goes_once_its_act_was_done() {
     let mut w = window([900.0, 700.0]);
     let hints = |w: &Harness<'_, ViewerApp<HereSource>>| {

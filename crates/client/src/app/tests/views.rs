@@ -191,3 +191,56 @@ fn views_have_names_and_return_and_go() {
     rest(&mut w);
     assert!(w.state().named_views.is_empty());
 }
+
+/// The window has the camera of the person that it follows: turned, moved to the side and rolled.
+#[test]
+fn who_follows_has_the_camera_of_the_leader_and_can_still_turn() {
+    use isinglass_core::wire::{ServerMessage, ViewerEntry};
+    for is_parallel in [false, true] {
+        let mut w = window([900.0, 700.0]);
+        let (start, bounds) = (pose(&w), w.state().clip_view.unwrap().bounds);
+        let turn = glam::Quat::from_euler(glam::EulerRot::YXZ, 1.9, -0.4, 0.6);
+        let (aside, depth) = (Vec3::new(0.3, -0.2, 0.0), 3.1);
+        let led = Pose::around(bounds.center(), turn, aside + depth * Vec3::Z);
+        let intrinsics = Intrinsics::perspective(48, 36, w.state().options.fov_y);
+        let camera = Camera::new(led, intrinsics, &bounds);
+        let camera = if is_parallel { camera.to_orthographic(depth, &bounds) } else { camera };
+        w.state().viewing.source().here().leader = Some(camera);
+        let viewer = |number, name: &str| ViewerEntry {
+            number,
+            name: name.into(),
+            is_own: number == 0,
+            follows: None,
+        };
+        let people = ServerMessage::Viewers(vec![viewer(0, "me"), viewer(1, "anna")]);
+        w.state().viewing.source().talk().viewers.handle_message(&people);
+        rest(&mut w);
+        assert_eq!(pose(&w), start, "control: nobody is followed");
+        w.get_by_label("2 people").click();
+        rest(&mut w);
+        w.get_by_label("Follow anna").click();
+        rest(&mut w);
+        assert_eq!(w.state().is_orthographic, is_parallel);
+        let seen = w.state().clip_view.unwrap().camera;
+        // Equal cameras have a point of the volume at the same share of the picture's height.
+        let share = |camera: &Camera, p: Vec3| {
+            let (h, i) = (camera.basis().pixel_from_point(p), camera.intrinsics);
+            (glam::vec2(h.x, h.y) / h.z - glam::vec2(i.width as f32, i.height as f32) * 0.5) / i.height as f32
+        };
+        let apart = |a: &Camera, b: &Camera| {
+            bounds.corners().into_iter().map(|p| (share(a, p) - share(b, p)).length()).fold(0.0, f32::max)
+        };
+        assert!(apart(&seen, &camera) < 1e-4, "{is_parallel}: {}", apart(&seen, &camera));
+        // Negative control: the same numbers in the world's axes are another camera.
+        let turned = Pose { eye: bounds.center() + aside + depth * Vec3::Z, ..led };
+        assert!(apart(&seen, &Camera::new(turned, intrinsics, &bounds)) > 0.1);
+        // Later frames of the leader leave the camera to the hand.
+        let there = pose(&w);
+        drag(&mut w, egui::pos2(300.0, 300.0), vec2(60.0, 40.0), Modifiers::NONE);
+        let mine = pose(&w);
+        assert_ne!(mine, there);
+        w.state().viewing.source().here().render();
+        rest(&mut w);
+        assert_eq!(pose(&w), mine);
+    }
+}

@@ -78,6 +78,20 @@ impl fmt::Display for Chord {
     }
 }
 
+impl Chord {
+    /// As on keyboards: with a large letter, because a small l looks like a 1.
+    pub(super) fn on_keyboard(&self) -> String {
+        let mut text = self.to_string();
+        if let Self::Key(_, key) = self
+            && key.name().len() == 1
+            && let Some(last) = text.pop()
+        {
+            text.push(last.to_ascii_uppercase());
+        }
+        text
+    }
+}
+
 pub(super) fn is_digit(key: Key) -> bool {
     key.name().len() == 1 && key.name().starts_with(|c: char| c.is_ascii_digit())
 }

@@ -261,7 +261,7 @@ impl Bindings {
             for _ in line.entries {
                 for chord in &self.chords[index] {
                     let comma = if keys.is_empty() { "" } else { ", " };
-                    let _ = write!(keys, "{comma}{chord}");
+                    let _ = write!(keys, "{comma}{}", chord.on_keyboard());
                 }
                 index += 1;
             }
@@ -291,7 +291,7 @@ impl Bindings {
     /// The first chord of an action, for hints; empty if there is none.
     pub(crate) fn hint(&self, action: Action) -> String {
         let mut bound = entries().zip(&self.chords).filter(|((_, deed, _), _)| *deed == Deed::Act(action));
-        bound.next().and_then(|(_, chords)| chords.first()).map(Chord::to_string).unwrap_or_default()
+        bound.next().and_then(|(_, chords)| chords.first()).map(Chord::on_keyboard).unwrap_or_default()
     }
 
     /// A text with its key in brackets, if it has one.
@@ -470,7 +470,7 @@ const TABLE: &[Line] = &[
     fixed("in the curve: Insert, Enter", "add a point after the chosen one"),
     fixed("in the curve: left, right; up, down", "choose a point; change its opacity"),
     fixed("in the curve: Shift+left, Shift+right", "move a point along the values"),
-    fixed("in the curve: right or ctrl+left drag", "level and window"),
+    fixed("in the curve: right or Ctrl+left drag", "level and window"),
     fixed("in the strip: arrows", "level; window"),
     fixed("in the stops: as in the curve", "choose, move, add and remove colours"),
     task("Measure, cut, watch"),
@@ -503,7 +503,7 @@ const TABLE: &[Line] = &[
         &[("save-state", Deed::Act(Action::SaveState), &["ctrl+s"])],
     ),
     keys(
-        "copy a link to this view (Ctrl+v opens a copied one)",
+        "copy a link to this view (Ctrl+V opens a copied one)",
         &[("copy-link", Deed::Act(Action::CopyLink), &["ctrl+l"])],
     ),
     keys("save a picture of the view", &[("picture", Deed::Act(Action::Picture), &["F12"])]),

@@ -121,9 +121,9 @@ fn what_is_set_holds_and_the_help_says_so() {
     }
     let line = |b: &Bindings, text| b.lines().into_iter().find(|(_, t)| *t == text).map(|(keys, _)| keys);
     let text = "numbers on or off";
-    assert_eq!(line(&Bindings::default(), text).unwrap(), "o");
-    assert_eq!(line(&bindings, text).unwrap(), format!("n, {}", "ctrl+alt+space".parse::<Chord>().unwrap()));
-    assert_eq!(bindings.hint(Action::Numbers), "n");
+    assert_eq!(line(&Bindings::default(), text).unwrap(), "O");
+    assert_eq!(line(&bindings, text).unwrap(), format!("N, {}", "ctrl+alt+space".parse::<Chord>().unwrap()));
+    assert_eq!(bindings.hint(Action::Numbers), "N");
     let nothing = set("numbers", &[]).unwrap();
     assert_eq!((line(&nothing, text), nothing.action_of(Key::O, None, NONE)), (None, None));
 

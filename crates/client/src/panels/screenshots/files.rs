@@ -3,9 +3,10 @@
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use isinglass_formats::write_new;
 use time::OffsetDateTime;
 
-use crate::panels::background::{create, path_from_text};
+use crate::panels::background::path_from_text;
 
 /// Writes a picture to `path`, or beside it under another number if there is a file already. Its folder is made.
 ///
@@ -16,7 +17,7 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<PathBuf> {
         std::fs::create_dir_all(folder)?;
     }
     for path in numbered(path) {
-        match create(&path, bytes) {
+        match write_new(&path, bytes) {
             Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
             result => return result.map(|()| path),
         }

@@ -7,6 +7,7 @@ use egui::{
 };
 use glam::Vec3;
 use isinglass_core::volume::{Slice, SliceGrid};
+use lucide_icons::Icon;
 
 use super::on_screen;
 use super::texture::SliceTexture;
@@ -15,7 +16,7 @@ use crate::input::orientation::Orientation;
 use crate::input::pointer::notches_of;
 use crate::paint::measure::Canvas;
 use crate::paint::view_aids::{Pen, ViewAids};
-use crate::panels::style::named;
+use crate::panels::style::{icon, named};
 use crate::panels::value_scale::ValueScale;
 use crate::view::planes::{PlaneChoice, Slab, Stack};
 
@@ -341,7 +342,7 @@ impl Pane {
         let text = egui::RichText::new(name).color(COLORS[number]).strong();
         let planes = [PlaneChoice::Standard(Side::Top), PlaneChoice::Standard(Side::Front)];
         let planes = planes.into_iter().chain([PlaneChoice::Standard(Side::Right)]);
-        let button = ui.menu_button(text, |ui| {
+        let button = ui.menu_button((text, icon(Icon::ChevronDown).size(12.0)), |ui| {
             for plane in planes {
                 let is_chosen = self.choice(number) == plane;
                 if ui.selectable_label(is_chosen, plane.name(scene.orientation)).clicked() {

@@ -479,7 +479,7 @@ impl TransferEditor {
     fn history_row(&mut self, ui: &mut Ui, scale: &ValueScale) {
         let (can_undo, can_redo) = self.history.has();
         ui.horizontal(|ui| {
-            if ui.add_enabled(can_undo, egui::Button::new("undo")).on_hover_text("Ctrl+z").clicked() {
+            if ui.add_enabled(can_undo, egui::Button::new("undo")).on_hover_text("Ctrl+Z").clicked() {
                 self.undo(scale);
             }
             if ui.add_enabled(can_redo, egui::Button::new("redo")).on_hover_text("Ctrl+Shift+z").clicked() {
