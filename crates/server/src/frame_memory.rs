@@ -71,6 +71,16 @@ impl Held {
         self.bytes
     }
 
+    /// Holds `wanted` bytes, if that is at most half of what is free without this part. Returns whether it does.
+    pub(crate) fn grow(&mut self, wanted: u64) -> bool {
+        let more = wanted.saturating_sub(self.bytes);
+        let most = (self.memory.limit + self.bytes) / 2;
+        let take = |used: u64| (wanted <= most.saturating_sub(used / 2)).then_some(used + more);
+        let is_held = self.memory.used.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take).is_ok();
+        self.bytes += if is_held { more } else { 0 };
+        is_held
+    }
+
     /// Hands all of it on.
     pub(crate) fn take(&mut self) -> Self {
         let nothing = self.memory.nothing();
@@ -105,6 +115,11 @@ mod tests {
         assert_eq!(memory.room(), 550);
         drop(second);
         assert_eq!(memory.room(), 900);
+        assert!(!first.grow(501), "others begin frames too");
+        assert_eq!((first.bytes(), memory.room()), (100, 900));
+        assert!(first.grow(500) && first.grow(200));
+        assert_eq!((first.bytes(), memory.room()), (500, 500));
+        first.set(100);
         // What is there already counts even beyond the limit, and later frames are small but not nothing.
         first.set(5000);
         assert_eq!((memory.room(), memory.hold(300, 10).bytes()), (0, 10));

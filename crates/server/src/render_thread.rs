@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::cancel::Wanted;
+use isinglass_core::codec::MAX_FRAME_SEGMENTS;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
@@ -16,7 +17,7 @@ use tokio::sync::mpsc;
 
 use crate::company::Company;
 use crate::counters::Counters;
-use crate::frame_memory::{bytes_of, max_segments};
+use crate::frame_memory::{bytes_of, bytes_of_making, max_segments};
 use crate::generator::{Begun, FrameJob, GenerateError, Generated, Job, Rows, RowsJob};
 use crate::lights::Lights;
 use crate::selection::SceneNumber;
@@ -164,13 +165,21 @@ impl RenderThread {
                 begun.insert(Begun { frame: self.renderer.begin(order.header)?, is_draft, occlusion })
             }
         };
-        let max_segments = max_segments(order.held.bytes(), order.header.camera.intrinsics.num_pixels());
+        let num_lists = order.header.camera.intrinsics.num_pixels();
+        let max_segments = max_segments(order.held.bytes(), num_lists);
         let wanted = || order.wish.holds();
         let piece = self.renderer.advance(&mut begun.frame, max_segments, goes_on, &wanted)?;
         *spent_micros += started.elapsed().as_micros() as u64;
         match piece {
             Piece::Unfinished => Ok(None),
             Piece::GivenUp => Err(GenerateError::GivenUp),
+            // The frame before was smaller or sparser, and there is room.
+            Piece::TooLarge(expected)
+                if expected / 4 * 5 <= MAX_FRAME_SEGMENTS
+                    && order.held.grow(bytes_of_making(expected / 4 * 5, num_lists)) =>
+            {
+                Ok(None)
+            }
             Piece::TooLarge(expected) => {
                 let camera = &order.header.camera;
                 let share = max_segments as f64 / expected.max(1) as f64;

@@ -1,16 +1,66 @@
 use std::sync::Arc;
 
+use isinglass_core::camera::Pose;
+use isinglass_core::layer::FrameHeader;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Lighting, Lit};
 use isinglass_formats::preset;
 
 use super::*;
+use crate::frame_memory::FrameMemory;
+use crate::generator::{FrameOrder, Wish};
 
 fn occluded(opacity: f32) -> Look {
     let mut look = Look::new(preset("shells").unwrap());
     look.transfer.points.iter_mut().for_each(|point| point.opacity *= opacity);
     look.lighting = Lighting { ambient_occlusion: 1.0, ..Lighting::default() };
     look
+}
+
+fn thread(scene: &Scene, look: &Look, lights: Lights) -> RenderThread {
+    RenderThread {
+        renderer: Renderer::on_cpu(scene.clone()),
+        look: look.clone(),
+        scene: SceneNumber::default(),
+        lights,
+        after_work: AfterWork::default(),
+        company: Company::default(),
+        counters: Counters::default(),
+    }
+}
+
+/// A frame with more matter than the one before takes more of the memory while there is some, and only then becomes
+/// smaller.
+#[tokio::test]
+async fn a_frame_stays_as_large_as_asked_while_there_is_memory() {
+    let look = Look { shaded: false, ..Look::new(preset("shells").unwrap()) };
+    let scene = Scene::new(Arc::new(Builtin::Shells.volume(24)), &look.transfer, look.march_settings());
+    let bounds = scene.volume.bounds();
+    let asked = Intrinsics::perspective(96, 64, 0.7);
+    let pose = Pose::orbit(bounds.center(), 0.3, 0.2, 3.0 * bounds.radius());
+    let made = |limit: u64| {
+        let lights = Lights::new(&scene, &look);
+        let (memory, mut thread) = (FrameMemory::new(limit), thread(&scene, &look, lights));
+        let order = FrameOrder {
+            viewer: ViewerId(1),
+            scene: SceneNumber::default(),
+            look: look.clone(),
+            near: None,
+            header: FrameHeader::alone(Camera::new(pose, asked, &bounds), 8),
+            wish: Wish::default(),
+            held: memory.hold(bytes_of_making(500, asked.num_pixels()), 1),
+        };
+        let (reply, _answer) = tokio::sync::oneshot::channel();
+        let mut job = FrameJob { order, reply, begun: None, spent_micros: 0 };
+        let frame = (0..1000).find_map(|_| thread.advance(&mut job, &|| true).unwrap()).unwrap().frame;
+        (frame.header.camera.intrinsics, frame.num_segments())
+    };
+    let (size, num_segments) = made(1 << 30);
+    assert_eq!(size, asked);
+    assert!(num_segments > 1000, "{num_segments}");
+    // The control: there is nothing more to have.
+    let (size, few) = made(bytes_of_making(1000, asked.num_pixels()));
+    assert!(size.num_pixels() < asked.num_pixels() && few <= 1000, "{size:?}, {few}");
 }
 
 /// Two viewers with different looks share the rendering thread. A draft of one shows the shade of its own last look, not
@@ -22,15 +72,7 @@ async fn a_draft_borrows_the_occlusion_of_its_own_viewer() {
     let scene = Scene::new(volume, &mine.transfer, mine.march_settings());
     let lights = Lights::new(&scene, &mine);
     let of_other = lights.scene(&other).await.unwrap();
-    let mut thread = RenderThread {
-        renderer: Renderer::on_cpu(scene.clone()),
-        look: mine.clone(),
-        scene: SceneNumber::default(),
-        lights,
-        after_work: AfterWork::default(),
-        company: Company::default(),
-        counters: Counters::default(),
-    };
+    let mut thread = thread(&scene, &mine, lights);
     let number = SceneNumber::default();
     let near = scene.illumination.occlusion();
     let lit = |thread: &RenderThread| thread.renderer.scene().illumination.lit().unwrap().clone();
