@@ -56,7 +56,7 @@ fn headers_that_are_wrong() {
         ("4 3 2", "2048 2048 2048", "needs 8589934592 bytes"),
         ("4 3 2", "4 3 3", "4×3×3 uint8 needs 36 bytes, found 24"),
         ("encoding: raw", "encoding: gzip\nspacings: 1 2", "field \"spacings\" has 2 entries, expected 3"),
-        ("encoding: raw", "encoding: raw\nspacings: 1 0 1", "expected finite lengths above zero"),
+        ("encoding: raw", "encoding: raw\nspacings: 1 0 1", "expected finite numbers above zero"),
         ("encoding: raw", "encoding: raw\nspacings: 1 1 1e9", "spacing is"),
         (
             "encoding: raw",

@@ -115,6 +115,7 @@ pub(crate) fn preset_title(name: &str) -> &str {
         "mri" => "MR",
         "mri-skin" => "MR skin",
         "shells" => "Shells",
+        "signed" => "Signed map",
         "smooth" => "Smooth",
         other => other,
     }

@@ -150,7 +150,7 @@ impl FrameSender {
             (true, false) => Rank::Independent,
             (true, true) => Rank::Finer,
         };
-        let (writing, begun) = (Writing::of(link), Instant::now());
+        let writing = Writing::of(link);
         let stream = link.connection.open_uni().await.map_err(|_| SessionClosed)?;
         let _ = stream.set_priority(priority(frame, rank));
         let mut stream = FrameStream { stream, first_of: Some(frame) };
@@ -161,8 +161,8 @@ impl FrameSender {
         if is_taken {
             let _ = stream.stream.finish();
             if rank != Rank::Finer {
-                let room = send_parity(link, &stream.stream, &chunks);
-                tokio::time::sleep_until(begun + room).await;
+                let at = send_parity(link, &stream.stream, &chunks);
+                tokio::time::sleep_until(at).await;
             }
         }
         drop(writing);
@@ -226,13 +226,13 @@ async fn superseded(link: &ViewerLink, frame: FrameId) {
     }
 }
 
-/// Sends what restores lost packets of a frame, if the link loses packets. Returns the time that the link should have
-/// for the frame, which leaves room for what is repeated.
-fn send_parity(link: &ViewerLink, stream: &SendStream, chunks: &[Chunk]) -> Duration {
+/// Sends what restores lost packets of a frame, if the link loses packets. Returns when the link has room for the
+/// next frame.
+fn send_parity(link: &ViewerLink, stream: &SendStream, chunks: &[Chunk]) -> Instant {
     let (connection, loss) = (&link.connection, link.gauge.loss());
     let mut num_bytes: usize = chunks.iter().map(|chunk| chunk.bytes.len()).sum();
     if overhead(num_bytes, loss, USUAL_PACKET_BYTES) == 0.0 {
-        return Duration::ZERO;
+        return Instant::now();
     }
     let bytes = chunks.iter().map(|chunk| &chunk.bytes[..]).collect::<Vec<_>>().concat();
     let packet_bytes = connection.max_datagram_size().unwrap_or(0);
@@ -242,8 +242,15 @@ fn send_parity(link: &ViewerLink, stream: &SendStream, chunks: &[Chunk]) -> Dura
             break;
         }
     }
-    let seconds = link.gauge.bytes_per_second().map_or(0.0, |rate| num_bytes as f64 / (MOST_FILLED * rate));
-    Duration::from_secs_f64(seconds.clamp(0.0, LONGEST_ROOM))
+    let mut room = link.room();
+    room.bytes_per_second = link.gauge.bytes_per_second().map(|rate| MOST_FILLED * rate);
+    let now = Instant::now();
+    let (at, latest) = (room.take(now, num_bytes), now + LONGEST_ROOM);
+    if at > latest {
+        // The rate may be known badly.
+        room.free_at = Some(latest);
+    }
+    at.min(latest)
 }
 
 /// A stream that is reset on drop, unless the client has all of it. Otherwise quinn would deliver a part of it as if
@@ -338,8 +345,7 @@ const USUAL_PACKET_BYTES: usize = 1200;
 /// The share of a lossy link that frames of a moving camera and their parity fill. On a full link, each frame would
 /// wait for the ones before it.
 const MOST_FILLED: f64 = 0.94;
-/// Bounds the wait where the rate was taken for too small, seconds.
-const LONGEST_ROOM: f64 = 0.1;
+const LONGEST_ROOM: Duration = Duration::from_millis(100);
 /// What may leave at once after a pause, as time at the rate: half a frame at 30 a second.
 const BURST: Duration = Duration::from_millis(16);
 /// Bounds the wait where a rate is absurdly small.

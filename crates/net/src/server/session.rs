@@ -91,6 +91,8 @@ pub(super) struct ViewerLink {
     pub(super) gauge: Arc<LinkGauge>,
     pub(super) talk: Talk<ServerSession>,
     pace: Mutex<Pace>,
+    /// What lossy links have room for.
+    room: Mutex<Pace>,
     pub(super) journal: Journal,
     /// Notified whenever a chunk may have been superseded.
     pub(super) progress: watch::Sender<()>,
@@ -99,6 +101,10 @@ pub(super) struct ViewerLink {
 }
 
 impl ViewerLink {
+    pub(super) fn room(&self) -> MutexGuard<'_, Pace> {
+        self.room.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     pub(super) fn pace(&self) -> MutexGuard<'_, Pace> {
         self.pace.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -127,6 +133,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
         gauge,
         talk: Talk::new(ServerSession::new(clock.now_micros(), viewer, version, look)),
         pace: Mutex::default(),
+        room: Mutex::default(),
         journal: journal.clone(),
         progress: watch::Sender::new(()),
         num_writing: watch::Sender::new(0),
