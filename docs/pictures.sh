@@ -199,4 +199,4 @@ picture guide-mip "" view avm.nrrd --mode mip --orbit 0,-70,2 --backend cpu
 picture guide-iso "" demo "${bonsai[@]}" --rtt 50ms --mode iso --iso 40:0.3,120 --size 1100x760 --backend cpu
 picture guide-light "" demo heptane.nrrd --rtt 50ms --orbit 30,20,2.1 --ambient-occlusion 0.8 --shadows 0.7 --backend cpu
 picture guide-clip c view mouse_brain.nrrd --orbit 30,20,2 --clip-box=-20,20,-20,1,-20,20 --backend cpu
-picture guide-measure "x d 217,718 500,230 600,290" view bonsai.nrrd --orbit 30,20,2 --backend cpu
+picture guide-measure "x d 217,718 480,85 660,85" view bonsai.nrrd --orbit 30,20,2 --backend cpu
