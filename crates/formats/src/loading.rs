@@ -38,6 +38,13 @@ impl LoadRequest {
     pub fn new(source: impl Into<String>) -> Self {
         VolumeSource::new(source).request(OpenOptions::default().max_bytes)
     }
+
+    /// The options to open it with.
+    pub fn options(&self) -> OpenOptions<'static> {
+        let &Self { source: _, raw, selection, spacing, max_bytes, foreign_files, stored_slices } = self;
+        let options = OpenOptions::default();
+        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, stored_slices, ..options }
+    }
 }
 
 /// A volume that is being opened. Dropping this value cancels it.
@@ -61,23 +68,13 @@ impl Loading {
         let (sender, result) = mpsc::sync_channel(1);
         let theirs = Arc::clone(&shared);
         thread::spawn(move || {
-            let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices } =
-                request;
+            let source = &request.source;
             let progress = |fraction: f32| theirs.progress.store(fraction.to_bits(), Ordering::Relaxed);
             let cancel = Some(&theirs.cancel);
             let progress = Some(&progress as &dyn Fn(f32));
-            let options = OpenOptions {
-                raw,
-                selection,
-                spacing,
-                max_bytes,
-                foreign_files,
-                stored_slices,
-                progress,
-                cancel,
-            };
+            let options = OpenOptions { progress, cancel, ..request.options() };
             // A panic must not leave the window waiting.
-            let opened = catch_unwind(AssertUnwindSafe(|| open(&source, &options)));
+            let opened = catch_unwind(AssertUnwindSafe(|| open(source, &options)));
             let opened = opened.unwrap_or_else(|_| {
                 let problem = "reading it has failed by a defect of isinglass".to_owned();
                 Err(FormatError::Data { path: source.clone(), problem })

@@ -120,6 +120,14 @@ pub(crate) fn open_zip(
                 expected: "one with a volume",
             });
         }
+        // An archive may even contain itself.
+        [one] if is_zip(one) => {
+            return Err(FormatError::Unsupported {
+                path: shown(path),
+                found: "a ZIP archive in a ZIP archive",
+                expected: "one with a volume",
+            });
+        }
         [one] => one.clone(),
         // The folder that holds everything.
         [first, rest @ ..] => rest.iter().fold(first.parent().unwrap_or(first).to_owned(), |common, file| {
@@ -127,6 +135,12 @@ pub(crate) fn open_zip(
         }),
     };
     opened(&target, path, folder, options)
+}
+
+fn is_zip(path: &Path) -> bool {
+    let mut start = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(sniff::SNIFFED_BYTES).read_to_end(&mut start));
+    read.is_ok() && matches!(sniff::kind_of(&start, path), FileKind::Zip)
 }
 
 /// A temporary folder for what is unpacked of `path`.

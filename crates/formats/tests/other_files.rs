@@ -224,6 +224,7 @@ fn archives_hold_files_or_folders() {
             &[("__MACOSX/a.nrrd", NRRD)][..],
             "a.zip: found a ZIP archive without files, expected one with a volume",
         ),
+        (&[("b.zip", &zip(&[("a.nrrd", NRRD)]))], "a.zip: found a ZIP archive in a ZIP archive, expected"),
         (&[("a.txt", b"hello")], "a.zip/a.txt: found no header that is known, expected"),
         (&[("a/b.txt", b"hello"), ("a/c.txt", b"hello")], "a.zip/a: found a folder without slices, expected"),
     ] {

@@ -4,29 +4,22 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
-use glam::Vec3;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::{Choices, Part};
 use isinglass_formats::{
-    FormatError, LoadRequest, OpenOptions, Outline, RawShape, Region, Selection, default_transfer,
-    load_transfer, open, outline,
+    FormatError, LoadRequest, OpenOptions, Outline, Region, Selection, default_transfer, load_transfer, open,
+    outline,
 };
 use isinglass_server::{Library, Loaded, Loader, Survey};
 
 use crate::memory;
 
 pub(crate) struct FileLoader {
-    /// The source, as for [`open`].
-    source: String,
-    raw: Option<RawShape>,
-    spacing: Option<Vec3>,
-    foreign_files: bool,
-    stored_slices: bool,
+    /// The file. The memory limit is that of all volumes.
+    request: LoadRequest,
     /// The transfer function in place of the one that suits each part.
     transfer: Option<TransferFunction>,
-    /// Most memory for all volumes, bytes.
-    max_memory: u64,
 }
 
 pub(crate) struct OpenedFile {
@@ -39,25 +32,23 @@ impl FileLoader {
     /// A loader for the file of `request`, whose memory limit covers all volumes. `transfer` is a preset or a file,
     /// or `None` for the one that suits each part.
     pub(crate) fn new(request: &LoadRequest, transfer: Option<&str>) -> Result<Self> {
-        let LoadRequest { source, raw, spacing, max_bytes, foreign_files, stored_slices, .. } =
-            request.clone();
         let transfer = transfer.map(load_transfer).transpose()?;
-        Ok(Self { source, raw, spacing, foreign_files, stored_slices, transfer, max_memory: max_bytes })
+        Ok(Self { request: request.clone(), transfer })
     }
 
     /// The header of a part, if there is room for it beside the `held` bytes.
     pub(crate) fn outline(&self, selection: Selection, held: u64) -> Result<Outline, String> {
         let options =
-            OpenOptions { max_bytes: self.max_memory.saturating_sub(held), ..self.options(selection) };
-        let found = match outline(&self.source, &options) {
+            OpenOptions { max_bytes: self.request.max_bytes.saturating_sub(held), ..self.options(selection) };
+        let found = match outline(&self.request.source, &options) {
             // The error must tell everything that it needs, not only the needs of reading.
             Err(FormatError::TooLarge { .. }) => {
-                outline(&self.source, &OpenOptions { max_bytes: u64::MAX, ..options })
+                outline(&self.request.source, &OpenOptions { max_bytes: u64::MAX, ..options })
             }
             found => found,
         };
         let found = found.map_err(|e| e.to_string())?;
-        memory::check(&found.name, found.bytes_needed(), held, self.max_memory)?;
+        memory::check(&found.name, found.bytes_needed(), held, self.request.max_bytes)?;
         Ok(found)
     }
 
@@ -69,20 +60,12 @@ impl FileLoader {
     }
 
     fn transfer_of(&self, volume: &Volume) -> TransferFunction {
-        let suitable = || default_transfer(&self.source, volume, &Histogram::of(volume));
+        let suitable = || default_transfer(&self.request.source, volume, &Histogram::of(volume));
         self.transfer.clone().unwrap_or_else(suitable)
     }
 
     fn options(&self, selection: Selection) -> OpenOptions<'static> {
-        OpenOptions {
-            raw: self.raw,
-            selection,
-            spacing: self.spacing,
-            foreign_files: self.foreign_files,
-            stored_slices: self.stored_slices,
-            max_bytes: self.max_memory,
-            ..OpenOptions::default()
-        }
+        OpenOptions { selection, ..self.request.options() }
     }
 }
 
@@ -98,7 +81,7 @@ impl Loader for FileLoader {
             cancel: Some(cancel),
             ..self.options(selection_of(part))
         };
-        let volume = open(&self.source, &options).map_err(|e| e.to_string())?;
+        let volume = open(&self.request.source, &options).map_err(|e| e.to_string())?;
         let transfer = self.transfer_of(&volume);
         Ok(Loaded { volume, transfer })
     }

@@ -43,22 +43,12 @@ pub(crate) fn survey(
     held: u64,
     servers: &dyn LocalServers,
 ) -> Result<Outline, String> {
-    let LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices } =
-        request.clone();
-    let foreign_files = foreign_files || servers.allows_foreign_files();
-    let options = OpenOptions {
-        raw,
-        selection,
-        spacing,
-        max_bytes,
-        foreign_files,
-        stored_slices,
-        ..OpenOptions::default()
-    };
-    let found = match outline(&source, &options) {
+    let mut options = request.options();
+    options.foreign_files |= servers.allows_foreign_files();
+    let found = match outline(&request.source, &options) {
         // The check explains the needs.
         Err(FormatError::TooLarge { .. }) => {
-            outline(&source, &OpenOptions { max_bytes: u64::MAX, ..options })
+            outline(&request.source, &OpenOptions { max_bytes: u64::MAX, ..options })
         }
         found => found,
     };

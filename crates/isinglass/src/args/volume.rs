@@ -20,9 +20,9 @@ use crate::memory::MemoryArgs;
 /// A volume, and the layout of a raw one.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
-    /// A file or folder (DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH, NumPy, PNG), also in
-    /// gzip or ZIP, a raw file with --dims and --dtype, or builtin:cloud, builtin:cubus, builtin:shells (with @N for
-    /// N voxels a side)
+    /// A file or folder, also in gzip or ZIP: DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH,
+    /// NumPy or PNG. A raw file needs --dims and --dtype. Built in are builtin:cloud, builtin:cubus and
+    /// builtin:shells, with @N for N voxels a side
     #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>, value_parser = any_text())]
     pub(crate) volume: Option<String>,
     #[command(flatten)]
