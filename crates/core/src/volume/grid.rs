@@ -1,5 +1,7 @@
 //! A scalar volume on a regular grid.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -71,10 +73,25 @@ pub struct VolumeInfo {
     pub value_unit: Option<String>,
     /// The values between which the file's author shows it, ascending, if known.
     pub window: Option<(f32, f32)>,
-    /// What the values mean, if they are labels.
+    /// Whether each value is a label: a name for a kind of matter, not a quantity. Labels are never interpolated.
+    pub are_labels: bool,
+    /// What the labels mean, if the file says so.
     pub labels: Vec<VolumeLabel>,
+    /// The channel that these voxels are.
+    pub channel: ChannelInfo,
     /// Oddities of the file, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// What a file says about one of its channels.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ChannelInfo {
+    /// A name in one line; empty if there is none.
+    pub name: String,
+    /// The colour in which the file's author shows it, sRGB.
+    pub color: Option<[u8; 3]>,
+    /// Whether the file's author hides it.
+    pub is_hidden: bool,
 }
 
 /// What a value of a volume of labels means.
@@ -117,6 +134,8 @@ pub struct Volume {
     value_scale: f32,
     value_offset: f32,
     stored_range: (f32, f32),
+    /// See [`Volume::others`].
+    others: Vec<Arc<Volume>>,
     /// Name, type and remarks.
     pub info: VolumeInfo,
 }
@@ -142,6 +161,9 @@ pub enum VolumeError {
         "spacing is {0}, expected three positive numbers from 1e-12 to 1e12, at most a factor of 1e4 apart"
     )]
     Spacing(Vec3),
+    /// There are too many channels, or one has another grid.
+    #[error("a channel has {0:?} voxels, expected {1:?}, and at most {MAX_CHANNELS} channels")]
+    Channels([u32; 3], [u32; 3]),
     /// A stored number has no finite meaning.
     #[error("stored numbers from {range:?} mean {scale} times that plus {offset}, expected finite values within ±{max:e}", max = Volume::MAX_MAGNITUDE)]
     Values {
@@ -217,7 +239,31 @@ impl Volume {
                 offset: value_offset,
             });
         }
-        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, info })
+        let others = Vec::new();
+        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, others, info })
+    }
+
+    /// This volume as the first channel, shown together with `others` on the same grid.
+    ///
+    /// # Errors
+    /// If there are more than [`MAX_CHANNELS`], or one has other dimensions.
+    pub fn with_others(mut self, others: Vec<Arc<Volume>>) -> Result<Self, VolumeError> {
+        let is_odd = |other: &&Arc<Volume>| other.dims != self.dims || !other.others.is_empty();
+        if let Some(other) = others.iter().find(is_odd).or(others.get(MAX_CHANNELS - 1)) {
+            return Err(VolumeError::Channels(other.dims, self.dims));
+        }
+        self.others = others;
+        Ok(self)
+    }
+
+    /// The channels beside this one: at most [`MAX_CHANNELS`] − 1, on the same grid, without others of their own.
+    pub fn others(&self) -> &[Arc<Volume>] {
+        &self.others
+    }
+
+    /// All channels, this one first.
+    pub fn channels(&self) -> impl Iterator<Item = &Volume> {
+        std::iter::once(self).chain(self.others.iter().map(AsRef::as_ref))
     }
 
     /// Voxels along x, y, z.
@@ -268,9 +314,10 @@ impl Volume {
         (a.min(b), a.max(b))
     }
 
-    /// Memory of the voxels and of their brightness, which shaded pictures need ([`super::Lit`]), bytes.
+    /// Memory of the voxels of all channels and of their brightness, which shaded pictures need ([`super::Lit`]), bytes.
     pub fn bytes_in_memory(&self) -> u64 {
-        self.voxels.len() as u64 * (self.voxels.bytes_per_voxel() + BRIGHTNESS_BYTES) as u64
+        let of_voxel = self.channels().map(|channel| channel.voxels.bytes_per_voxel()).sum::<usize>();
+        self.voxels.len() as u64 * (of_voxel + BRIGHTNESS_BYTES) as u64
     }
 
     /// The stored number at integer coordinates, clamped to the grid.
@@ -281,6 +328,8 @@ impl Volume {
     }
 }
 
+/// Most channels that are shown together.
+pub const MAX_CHANNELS: usize = 8;
 /// Bytes per voxel for brightness. Self-shading takes as many again.
 const BRIGHTNESS_BYTES: usize = 1;
 
