@@ -254,6 +254,7 @@ const MIN_BOX_VOLUME: f64 = 0.01;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hyperslab::{Hyperslab, Steps};
 
     fn geometry(steps: [DVec3; 3], is_body: bool) -> Geometry {
         Geometry { steps, origin: Some(DVec3::new(10.0, -20.0, 30.0)), is_body, unit: None }
@@ -283,10 +284,10 @@ mod tests {
                 let g = Grid::arrange(file, &geometry(steps, true), region).unwrap();
                 assert_eq!(g.spacing.to_array(), lengths.map(|l| l as f32), "{steps:?}");
                 let placement = g.placement.unwrap();
-                let axes: Vec<(u64, Range<u64>)> = file.into_iter().zip(g.ranges.clone()).collect();
-                let mut hyperslab = crate::hyperslab::Hyperslab::new(&axes);
+                let axes: Vec<_> = file.into_iter().zip(g.ranges.clone().map(Steps::all)).collect();
+                let mut hyperslab = Hyperslab::new(&axes);
                 let mut voxels = Vec::new();
-                hyperslab.take(24, |range| voxels.extend(range.map(|i| i as u8)));
+                hyperslab.take(24, |range, _| voxels.extend(range.map(|i| i as u8)));
                 let voxels = g.reorder_vec(voxels);
                 let dims = g.dims();
                 for (i, &voxel) in voxels.iter().enumerate() {

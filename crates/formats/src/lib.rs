@@ -13,6 +13,7 @@
 
 mod alike;
 mod axes;
+mod channels;
 mod collector;
 mod content;
 mod decode;

@@ -15,7 +15,7 @@ use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed};
 use crate::foreign::HomeFolder;
 use crate::header_bytes::HeaderBytes;
-use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
+use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
@@ -194,7 +194,7 @@ impl NiftiHeader {
         }
         let mut plan = Plan::new(format, dtype, endian, axes, Geometry::along_axes([1.0; 3], None));
         if colors > 0 {
-            plan.channel_names = color_names(colors);
+            plan.set_colors();
         } else if self.slope != 0.0 && self.slope.is_finite() && self.intercept.is_finite() {
             plan.value_map = (self.slope, self.intercept);
         } else if !self.slope.is_finite() || !self.intercept.is_finite() {
@@ -203,7 +203,9 @@ impl NiftiHeader {
                 "scl_slope or scl_inter is not a number; values are taken as they are",
             );
         }
-        plan.windows = vec![Some(self.window)];
+        if colors == 0 {
+            plan.channel_looks = vec![ChannelLook { window: Some(self.window), ..ChannelLook::default() }];
+        }
         plan.geometry = self.geometry(&mut plan);
         Ok(plan)
     }

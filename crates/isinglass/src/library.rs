@@ -94,6 +94,7 @@ fn parts_of(outline: &Outline) -> Choices {
         shown: part_of(&outline.shown),
         whole_dims: outline.whole_dims,
         num_channels: count(outline.num_channels),
+        joins_channels: outline.joins_channels,
         channels: outline.channels.clone(),
         num_times: count(outline.num_times),
         levels: outline.levels.iter().map(|level| level.dims).collect(),

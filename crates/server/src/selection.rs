@@ -189,7 +189,7 @@ impl SelectionReader {
                 let permille = (fraction.clamp(0.0, 1.0) * 100.0) as u16 * 10;
                 tell(&|load| load.state = LoadState::Reading { permille });
             };
-            let loaded = loader.load(&part, &progress, &cancelled)?;
+            let loaded = loader.load(&survey.parts.shown, &progress, &cancelled)?;
             if cancelled.load(Ordering::Relaxed) {
                 return Err("cancelled".into());
             }

@@ -27,7 +27,7 @@ use self::shape::Shape;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, not_there, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
+use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
@@ -211,7 +211,7 @@ impl DicomFiles {
         plan.modality = stacked.modality;
         plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
         if shape.samples == 3 {
-            plan.channel_names = color_names(3);
+            plan.set_colors();
         }
         for (kind, text) in stacked.warnings {
             plan.warn(kind, text);

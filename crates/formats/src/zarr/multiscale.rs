@@ -7,10 +7,11 @@ use serde_json::Value;
 
 use super::array::Array;
 use super::json;
+use super::store::Store;
 use crate::axes::Geometry;
 use crate::error::{FormatError, malformed, quoted};
 use crate::outline::Level;
-use crate::plan::{Axis, Plan, Role};
+use crate::plan::{Axis, ChannelLook, Plan, Role};
 use crate::units::length_unit;
 
 /// An image of several levels.
@@ -22,8 +23,7 @@ pub(super) struct Multiscale {
     /// The transformation after that of each level.
     all: Transform,
     channels: Vec<String>,
-    /// What each channel shows black and white.
-    windows: Vec<Option<(f64, f64)>>,
+    looks: Vec<ChannelLook>,
     /// Whether the axes are named.
     is_image: bool,
 }
@@ -51,15 +51,15 @@ pub(super) struct LevelPath {
 
 impl Multiscale {
     /// Reads the image in the folder `path`; `None` if there is none. A single array is an image with one level.
-    pub(super) fn read(path: &Path) -> Result<Option<Self>, FormatError> {
+    pub(super) fn read(store: &Store, path: &Path) -> Result<Option<Self>, FormatError> {
         let bad = malformed(path, "OME-Zarr");
-        let attributes = match json::read(&path.join("zarr.json"))? {
+        let attributes = match json::read(store, &path.join("zarr.json"))? {
             Some(value) if value["node_type"].as_str() == Some("array") => {
-                return Self::of_array(path);
+                return Self::of_array(store, path);
             }
             Some(value) => value.get("attributes").and_then(|a| a.get("ome").or(Some(a))).cloned(),
-            None if path.join(".zarray").is_file() => return Self::of_array(path),
-            None => json::read(&path.join(".zattrs"))?,
+            None if store.has(&path.join(".zarray")) => return Self::of_array(store, path),
+            None => json::read(store, &path.join(".zattrs"))?,
         };
         let Some(attributes) = attributes else { return Ok(None) };
         let images = attributes["multiscales"].as_array();
@@ -105,15 +105,19 @@ impl Multiscale {
         let omero = attributes.get("omero").or_else(|| image.get("omero"));
         let channels = omero.and_then(|o| o.get("channels")).and_then(Value::as_array);
         let label = |c: &Value| quoted(c["label"].as_str().unwrap_or_default()).trim_matches('"').to_owned();
-        let window = |c: &Value| c["window"]["start"].as_f64().zip(c["window"]["end"].as_f64());
+        let look = |c: &Value| ChannelLook {
+            window: c["window"]["start"].as_f64().zip(c["window"]["end"].as_f64()),
+            color: c["color"].as_str().and_then(color),
+            is_hidden: c["active"].as_bool() == Some(false),
+        };
         let channels = channels.map_or(&[][..], |list| &list[..list.len().min(1024)]);
-        let windows = channels.iter().map(window).collect();
+        let looks = channels.iter().map(look).collect();
         let channels = channels.iter().map(label).collect();
-        Ok(Self { version, axes, levels, all, channels, windows, is_image: true })
+        Ok(Self { version, axes, levels, all, channels, looks, is_image: true })
     }
 
-    fn of_array(path: &Path) -> Result<Option<Self>, FormatError> {
-        let array = Array::read(path)?;
+    fn of_array(store: &Store, path: &Path) -> Result<Option<Self>, FormatError> {
+        let array = Array::read(store, path)?;
         let n = array.shape.len();
         let names = ["t", "c", "z", "y", "x"];
         let bad = malformed(path, "Zarr array");
@@ -127,7 +131,7 @@ impl Multiscale {
             .map_err(bad)?;
         let levels = vec![LevelPath { path: PathBuf::new(), own: None }];
         let (version, all) = (String::new(), Transform::none(n));
-        Ok(Some(Self { version, axes, levels, all, channels: vec![], windows: vec![], is_image: false }))
+        Ok(Some(Self { version, axes, levels, all, channels: vec![], looks: vec![], is_image: false }))
     }
 
     /// Sizes along x, y and z of an array with this shape.
@@ -136,6 +140,12 @@ impl Multiscale {
             self.axes.iter().zip(shape).find(|(a, _)| a.kind == AxisKind::Space(k)).map_or(1, |(_, n)| *n)
         };
         [size(0), size(1), size(2)]
+    }
+
+    /// Channels of an array with this shape that are parts of one picture.
+    pub(super) fn num_channels(&self, shape: &[u64]) -> u64 {
+        let axis = self.axes.iter().position(|a| a.kind == AxisKind::Channel).filter(|_| self.is_image);
+        axis.and_then(|axis| shape.get(axis)).copied().unwrap_or(1)
     }
 
     /// The transformation of a level. A level without one has the extent of the finest level.
@@ -209,7 +219,10 @@ impl Multiscale {
         let format = format!("{}, Zarr {}", name.trim_end(), array.version);
         let mut plan = Plan::new(format, array.dtype, array.codecs.endian, axes, geometry);
         plan.channel_names.clone_from(&self.channels);
-        plan.windows.clone_from(&self.windows);
+        plan.channel_looks.clone_from(&self.looks);
+        if self.is_image {
+            plan.join_channels();
+        }
         plan.level = level;
         if arrays.len() > 1 {
             let spacing = |place: &Transform, k: usize| {
@@ -236,6 +249,14 @@ impl Multiscale {
         }
         Ok(plan)
     }
+}
+
+/// A colour in six hexadecimal digits, perhaps after a number sign.
+fn color(text: &str) -> Option<[u8; 3]> {
+    let digits = text.trim().trim_start_matches('#');
+    let number = u32::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 6)?;
+    let [_, red, green, blue] = number.to_be_bytes();
+    Some([red, green, blue])
 }
 
 impl NamedAxis {
