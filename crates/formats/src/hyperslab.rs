@@ -73,7 +73,14 @@ impl Hyperslab {
             stride *= size;
         }
         let run_length = run_length.unwrap_or(stride);
-        Self { outer, run: Some(start..start + run_length), run_start: start, run_length, run_step, position: 0 }
+        Self {
+            outer,
+            run: Some(start..start + run_length),
+            run_start: start,
+            run_length,
+            run_step,
+            position: 0,
+        }
     }
 
     /// Numbers before the next selected one; 0 after the last.
@@ -175,7 +182,8 @@ mod tests {
                 }
                 let start = hyperslab.position();
                 let count = (1 + next(9)).min(all - start);
-                hyperslab.take(count, |range, step| found.extend(range.step_by(step).map(|i| start + i as u64)));
+                hyperslab
+                    .take(count, |range, step| found.extend(range.step_by(step).map(|i| start + i as u64)));
             }
             assert_eq!(found, expected, "{axes:?}");
             assert_eq!(expected.len() as u64, axes.iter().map(|a| a.1.len()).product::<u64>());

@@ -94,7 +94,7 @@ impl fmt::Display for Outline {
         writeln!(f, "  format       {}", self.format)?;
         let sides = |dims: &[u64; 3]| format!("{} × {} × {}", dims[0], dims[1], dims[2]);
         if self.whole_dims != self.dims.map(u64::from) {
-            writeln!(f, "  region of    {}", sides(&self.whole_dims))?;
+            writeln!(f, "  part of      {}", sides(&self.whole_dims))?;
         }
         if !self.channels.is_empty() {
             let names = &self.channels[..self.channels.len().min(MAX_NAMED)];

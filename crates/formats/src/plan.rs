@@ -12,6 +12,7 @@ use crate::decode::Decoded;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, malformed, shown};
 use crate::hyperslab::Steps;
+use crate::labels::mark_labels;
 use crate::outline::{Level, Outline};
 use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
@@ -75,7 +76,9 @@ pub(crate) struct Plan {
     pub(crate) modality: Option<String>,
     /// Unit of the values, from [`crate::units::value_unit`].
     pub(crate) value_unit: Option<String>,
-    /// What the values mean, if they are labels.
+    /// Whether the file says that its values are labels.
+    pub(crate) are_labels: bool,
+    /// What the labels mean, if the file says so.
     pub(crate) labels: Vec<VolumeLabel>,
     /// The warning if neither the file nor the options have a spacing.
     pub(crate) spacing_guess: Option<String>,
@@ -113,6 +116,7 @@ impl Plan {
             usual_series: 0,
             modality: None,
             value_unit: None,
+            are_labels: false,
             labels: Vec::new(),
             spacing_guess: None,
             has_gaps: true,
@@ -127,8 +131,11 @@ impl Plan {
     /// Makes the channels the colours of a picture: red, green, blue and perhaps opacity, which is not shown with them.
     pub(crate) fn set_colors(&mut self) {
         let n = self.channels();
-        self.channel_names =
-            ["red", "green", "blue", "alpha"].into_iter().zip(0..n).map(|(name, _)| name.to_owned()).collect();
+        self.channel_names = ["red", "green", "blue", "alpha"]
+            .into_iter()
+            .zip(0..n)
+            .map(|(name, _)| name.to_owned())
+            .collect();
         let pure = [[255, 0, 0], [0, 255, 0], [0, 0, 255]];
         let window = match self.dtype {
             Dtype::Uint8 | Dtype::Uint16 => self.dtype.integer_range(),
@@ -190,7 +197,8 @@ impl Plan {
             Some(spacing) => self.geometry.with_spacing(spacing).map_err(bad)?,
             None => self.geometry.clone(),
         };
-        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref()).map_err(bad)?;
+        let thin = options.reading.thin.unwrap_or(1);
+        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin).map_err(bad)?;
         let mut warnings = [&self.warnings[..], &grid.warnings[..]].concat();
         if let Some(text) = self.spacing_guess.as_ref().filter(|_| options.spacing.is_none()) {
             warnings.insert(0, Warning::new(WarningKind::Guess, text.clone()));
@@ -198,7 +206,8 @@ impl Plan {
         // The product is at most 2048³.
         let num_voxels = grid.dims().iter().map(|&d| u64::from(d)).product::<u64>();
         let num_channels = self.channels();
-        let num_joint = self.num_joint.min(num_channels).min(MAX_CHANNELS as u64);
+        let most_joint = MAX_CHANNELS as u64 - u64::from(options.reading.labels.is_some());
+        let num_joint = self.num_joint.min(num_channels).min(most_joint);
         let listed = self.channel_names.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join(", ");
         let listed = if listed.is_empty() { String::new() } else { format!(" ({listed})") };
         let mut pick = |what: &'static str, found: u64, asked: Option<u32>, usual: u64, more: &str| {
@@ -235,12 +244,13 @@ impl Plan {
         }
         if channels.end - channels.start > 1 && channels.end < num_channels {
             let n = channels.end;
-            let text = format!("the file has {num_channels} channels{listed}, of which the first {n} are shown");
+            let text =
+                format!("the file has {num_channels} channels{listed}, of which the first {n} are shown");
             warnings.push(Warning::new(WarningKind::Choice, text));
         }
         let selected = self.axes.iter().enumerate().map(|(i, axis)| {
             Steps::all(match axis.role {
-                Role::Space(i) => grid.ranges[i].clone(),
+                Role::Space(i) => return Steps { range: grid.ranges[i].clone(), step: grid.thin[i] },
                 // Single numbers are skipped more slowly than read.
                 Role::Channel if i == 0 && channels.end - channels.start > 1 => 0..axis.size,
                 Role::Channel => channels.clone(),
@@ -382,8 +392,9 @@ pub(crate) fn read_volume(
     let mut volumes = volumes.into_iter();
     let first = volumes.next().ok_or_else(|| malformed(path, &plan.format)("no voxels".into()))?;
     let others: Vec<Arc<Volume>> = volumes.map(Arc::new).collect();
-    let mut joint =
-        first.with_others(others.clone()).map_err(|cause| FormatError::Volume { path: shown(path), cause })?;
+    let mut joint = first
+        .with_others(others.clone())
+        .map_err(|cause| FormatError::Volume { path: shown(path), cause })?;
     let mut warnings: Vec<String> = chosen.warnings.iter().map(|w| w.text.clone()).collect();
     warnings.append(&mut joint.info.warnings);
     for other in others {
@@ -391,6 +402,10 @@ pub(crate) fn read_volume(
         warnings.extend(other.info.warnings.iter().map(|text| format!("channel {name}: {text}")));
     }
     joint.info.warnings = warnings;
+    if joint.others().is_empty() && plan.num_joint == 1 {
+        let word = mark_labels(&mut joint, plan, options.reading.voxels, path)?;
+        joint.info.warnings.extend(word.map(|word| word.text));
+    }
     Ok(joint)
 }
 

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{FormatError, io_error, shown, syntax_error};
 use crate::raw::RawShape;
+use crate::reading::{Meaning, Reading};
 use crate::selection::{Region, Selection};
 use crate::source::read_file;
 use crate::volume_source::VolumeSource;
@@ -144,6 +145,9 @@ struct StoredEntry {
     region: Option<String>,
     spacing: Option<[f32; 3]>,
     stored_slices: Option<bool>,
+    voxels: Option<Meaning>,
+    thin: Option<u32>,
+    labels: Option<String>,
     raw: Option<RawShape>,
 }
 
@@ -156,6 +160,7 @@ impl StoredEntry {
         };
         let selection = volume.map_or(Selection::default(), |v| v.selection);
         let Selection { channel, time, level, series, region } = selection;
+        let reading = volume.map_or_else(Reading::default, |v| v.reading.clone());
         Self {
             server,
             remote,
@@ -168,7 +173,10 @@ impl StoredEntry {
             series,
             region: region.map(|r| r.to_string()),
             spacing: volume.and_then(|v| v.spacing).map(Vec3::into),
-            stored_slices: volume.is_some_and(|v| v.stored_slices).then_some(true),
+            stored_slices: reading.stored_slices.then_some(true),
+            voxels: reading.voxels,
+            thin: reading.thin,
+            labels: reading.labels,
             raw: volume.and_then(|v| v.raw),
         }
     }
@@ -191,8 +199,9 @@ impl StoredEntry {
                 let selection = Selection { channel, time, level, series, region };
                 let spacing = spacing.map(Vec3::from);
                 let stored_slices = self.stored_slices == Some(true);
-                let volume =
-                    VolumeSource { raw, selection, spacing, stored_slices, ..VolumeSource::new(source) };
+                let (voxels, thin, labels) = (self.voxels, self.thin, self.labels);
+                let reading = Reading { stored_slices, voxels, thin, labels };
+                let volume = VolumeSource { raw, selection, spacing, reading, ..VolumeSource::new(source) };
                 RecentPlace::Volume(Some(volume).filter(VolumeSource::is_finite)?)
             }
             _ => return None,
@@ -254,7 +263,7 @@ mod tests {
         let place = RecentPlace::Volume(VolumeSource {
             raw: Some(raw),
             spacing,
-            stored_slices: true,
+            reading: Reading { stored_slices: true, thin: Some(2), ..Reading::default() },
             ..VolumeSource::new(source)
         });
         RecentEntry { place, shows: "a scan".into(), used_at: 8 }

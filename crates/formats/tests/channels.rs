@@ -95,8 +95,10 @@ fn colours_are_channels_of_their_own_colour() {
         let path = nrrd(folder.path(), kind, num_channels);
         let (volume, before) = opened(&path, &options(None));
         check_values(&volume, 3);
-        let looks: Vec<_> =
-            volume.channels().map(|v| (&v.info.channel.name[..], v.info.channel.color, v.info.window)).collect();
+        let looks: Vec<_> = volume
+            .channels()
+            .map(|v| (&v.info.channel.name[..], v.info.channel.color, v.info.window))
+            .collect();
         let window = Some((0.0, 255.0));
         assert_eq!(looks[0], ("red", Some([255, 0, 0]), window));
         assert_eq!(looks[1], ("green", Some([0, 255, 0]), window));

@@ -418,7 +418,10 @@ fn channels_of_imagej_have_its_colours_and_ranges() {
     let expected = [(Some([255, 0, 255]), Some((5.0, 90.0))), (Some([0, 255, 0]), Some((1.0, 9.0)))];
     assert_eq!(looks, expected);
     let found: Vec<Vec<f32>> = volume.channels().map(values).collect();
-    assert_eq!(found, [[numbers(0..6), numbers(12..18)].concat(), [numbers(6..12), numbers(18..24)].concat()]);
+    assert_eq!(
+        found,
+        [[numbers(0..6), numbers(12..18)].concat(), [numbers(6..12), numbers(18..24)].concat()]
+    );
     // A block that is cut says nothing.
     all[0].blocks[1].3.truncate(100);
     all[0].blocks[1].2 = 100;

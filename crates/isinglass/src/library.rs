@@ -64,7 +64,7 @@ impl FileLoader {
         self.transfer.clone().unwrap_or_else(suitable)
     }
 
-    fn options(&self, selection: Selection) -> OpenOptions<'static> {
+    fn options(&self, selection: Selection) -> OpenOptions<'_> {
         OpenOptions { selection, ..self.request.options() }
     }
 }

@@ -117,7 +117,9 @@ mod tests {
 
     #[test]
     fn all_channels_come_before_the_first_where_they_can_be_shown_together() {
-        for (joins_channels, steps) in [(true, [Some(0), Some(1), Some(1)]), (false, [Some(1), Some(1), Some(1)])] {
+        for (joins_channels, steps) in
+            [(true, [Some(0), Some(1), Some(1)]), (false, [Some(1), Some(1), Some(1)])]
+        {
             let show = move |ui: &mut Ui, chosen: &mut Option<u32>| {
                 channel_list(ui, 2, joins_channels, chosen, |i| i.to_string());
             };

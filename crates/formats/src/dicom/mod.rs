@@ -181,7 +181,7 @@ impl DicomVolume for DicomFiles {
 impl DicomFiles {
     fn new(series: Series, files: Vec<PathBuf>, is_lone_slice: bool, options: &OpenOptions) -> Self {
         let shape = series.shape;
-        let stacked = series.stack(options.stored_slices);
+        let stacked = series.stack(options.reading.stored_slices);
         let Stacked { frames, num_slices, num_times, resampling, .. } = stacked;
         let scale = frames[0].scale.clone();
         let linear = match scale {

@@ -75,11 +75,7 @@ fn spatial_axes(header: &NrrdHeader) -> Result<Vec<usize>, HeaderError> {
 }
 
 /// Assigns channels and time to the other axes. Returns whether the channels are colours.
-fn other_roles(
-    header: &NrrdHeader,
-    axes: &mut [Axis],
-    first_in_space: usize,
-) -> Result<bool, HeaderError> {
+fn other_roles(header: &NrrdHeader, axes: &mut [Axis], first_in_space: usize) -> Result<bool, HeaderError> {
     let mut are_colors = false;
     for i in 0..header.sizes.len() {
         if axes[i].role != Role::Single || axes[i].size == 1 {
@@ -197,7 +193,7 @@ mod tests {
     fn grid(fields: &str) -> Result<(Grid, Vec<String>), HeaderError> {
         let axes = axes(fields)?;
         let size = |i| axes.axes.iter().find(|a| a.role == Role::Space(i)).unwrap().size;
-        let grid = Grid::arrange([size(0), size(1), size(2)], &axes.geometry, None)
+        let grid = Grid::arrange([size(0), size(1), size(2)], &axes.geometry, None, 1)
             .map_err(HeaderError::Contradiction)?;
         let warnings = axes.warnings.iter().chain(&grid.warnings).map(ToString::to_string).collect();
         Ok((grid, warnings))

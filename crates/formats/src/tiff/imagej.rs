@@ -70,7 +70,8 @@ impl Metadata {
         let mut found = Self::default();
         let mut lengths = lengths.iter();
         for kind in kinds.as_chunks::<8>().0 {
-            let (mut name, count) = ([kind[0], kind[1], kind[2], kind[3]], [kind[4], kind[5], kind[6], kind[7]]);
+            let (mut name, count) =
+                ([kind[0], kind[1], kind[2], kind[3]], [kind[4], kind[5], kind[6], kind[7]]);
             let count = if is_little { u32::from_le_bytes(count) } else { u32::from_be_bytes(count) };
             if is_little {
                 name.reverse();
@@ -81,7 +82,9 @@ impl Metadata {
                 match &name {
                     b"luts" => found.colors.push(color(block)),
                     b"rang" => {
-                        let number = |b: [u8; 8]| if is_little { f64::from_le_bytes(b) } else { f64::from_be_bytes(b) };
+                        let number = |b: [u8; 8]| {
+                            if is_little { f64::from_le_bytes(b) } else { f64::from_be_bytes(b) }
+                        };
                         let numbers: Vec<f64> = block.as_chunks().0.iter().map(|b| number(*b)).collect();
                         found.ranges = numbers.as_chunks::<2>().0.iter().map(|[a, b]| (*a, *b)).collect();
                     }

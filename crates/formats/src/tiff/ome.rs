@@ -278,7 +278,9 @@ fn parse(text: &str) -> Result<Ome, String> {
             "Channel" => {
                 let name = tag.get("Name").or_else(|| tag.get("ID")).unwrap_or_default();
                 image.channels.push(name.to_owned());
-                image.looks.push(ChannelLook { color: tag.get("Color").and_then(color), ..ChannelLook::default() });
+                image
+                    .looks
+                    .push(ChannelLook { color: tag.get("Color").and_then(color), ..ChannelLook::default() });
             }
             "TiffData" => image.data.push(TiffData { fields: tag, file: None }),
             "UUID" => {

@@ -211,8 +211,7 @@ impl<'a> Chunks<'a> {
             let numbers = self.gather(&bytes, chunk, &part, &strides);
             let count = numbers.len() / array.dtype.num_bytes();
             let sink = VoxelSink::new(array.dtype, array.codecs.endian, count);
-            let mut sink =
-                sink.map_err(|_| io_error(&chunk.path)(std::io::ErrorKind::OutOfMemory.into()))?;
+            let mut sink = sink.map_err(|_| io_error(&chunk.path)(std::io::ErrorKind::OutOfMemory.into()))?;
             sink.push_bytes(&numbers);
             if let Some(axis) = self.channel_axis {
                 part[axis] = 0..1;

@@ -9,9 +9,10 @@ mod json;
 mod multiscale;
 mod store;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use isinglass_core::volume::MAX_CHANNELS;
+use rayon::prelude::*;
 
 use self::array::Array;
 use self::chunks::read_chunks;
@@ -22,6 +23,7 @@ use crate::error::{FormatError, malformed, not_there};
 use crate::plan::{Memory, Plan, VolumeFile};
 use crate::source::OpenOptions;
 use crate::warning::WarningKind;
+use crate::web::WebFolder;
 
 pub(crate) struct ZarrImage {
     plan: Plan,
@@ -38,15 +40,32 @@ pub(crate) fn is_group(path: &Path) -> bool {
 impl ZarrImage {
     /// Opens the group or array in the folder `path`.
     pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
+        Self::in_store(Store::of_folder(path, options), path, options)
+    }
+
+    /// Opens the group or array at an address of the web.
+    pub(crate) fn open_web(address: &str, options: &OpenOptions) -> Result<Self, FormatError> {
+        let folder = WebFolder::new(address);
+        let path = PathBuf::from(folder.address());
+        Self::in_store(Store::of_web(folder)?, &path, options)
+    }
+
+    fn in_store(store: Store, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
         let bad = malformed(path, "OME-Zarr");
-        let store = Store::of_folder(path, options);
         let mut image = path.to_owned();
         let mut series = Vec::new();
         let mut found = Multiscale::read(&store, path)?;
         if found.is_none() {
             // bioformats2raw puts each image into its own group.
-            let is_there = |i: &String| METADATA.iter().any(|name| store.has(&path.join(i).join(name)));
-            series = (0..MAX_SERIES).map(|i| i.to_string()).take_while(is_there).collect();
+            while series.len() < store.max_images() {
+                options.check_cancelled(path)?;
+                let name = series.len().to_string();
+                let files = METADATA.iter().map(|file| store.has(&path.join(&name).join(file)));
+                // The first file that is there is enough.
+                let Some(found) = files.into_iter().find(|found| !matches!(found, Ok(false))) else { break };
+                found?;
+                series.push(name);
+            }
             let index = options.selection.series.unwrap_or(0) as usize;
             if let Some(name) = series.get(index) {
                 image = path.join(name);
@@ -56,13 +75,15 @@ impl ZarrImage {
             }
         }
         let Some(multiscale) = found else {
-            return Err(bad("found no image in its attributes, expected multiscales".into()));
+            let place = if matches!(store, Store::Web(..)) { "at this address" } else { "in its attributes" };
+            return Err(bad(format!("found no image {place}, expected multiscales")));
         };
-        let mut arrays = Vec::new();
-        for level in &multiscale.levels {
-            options.check_cancelled(path)?;
-            arrays.push(Array::read(&store, &image.join(&level.path))?);
-        }
+        options.check_cancelled(path)?;
+        let read = || {
+            let levels = multiscale.levels.par_iter();
+            levels.map(|level| Array::read(&store, &image.join(&level.path))).collect::<Result<Vec<_>, _>>()
+        };
+        let mut arrays = store.on_threads(read)?;
         let level = match options.selection.level {
             Some(level) if level as usize >= arrays.len() => {
                 return Err(not_there(path, "level", level.into(), arrays.len()));
@@ -118,5 +139,3 @@ impl VolumeFile for ZarrImage {
 
 /// The files that describe arrays and groups.
 const METADATA: [&str; 4] = [".zattrs", ".zgroup", ".zarray", "zarr.json"];
-/// Most images of a group.
-const MAX_SERIES: usize = 4096;

@@ -1,8 +1,10 @@
 //! Interprets the attributes of an image.
 
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 use glam::DVec3;
+use isinglass_core::volume::VolumeLabel;
 use serde_json::Value;
 
 use super::array::Array;
@@ -24,6 +26,8 @@ pub(super) struct Multiscale {
     all: Transform,
     channels: Vec<String>,
     looks: Vec<ChannelLook>,
+    /// What the labels mean, if the image has labels.
+    labels: Option<Vec<VolumeLabel>>,
     /// Whether the axes are named.
     is_image: bool,
 }
@@ -58,7 +62,7 @@ impl Multiscale {
                 return Self::of_array(store, path);
             }
             Some(value) => value.get("attributes").and_then(|a| a.get("ome").or(Some(a))).cloned(),
-            None if store.has(&path.join(".zarray")) => return Self::of_array(store, path),
+            None if store.has(&path.join(".zarray"))? => return Self::of_array(store, path),
             None => json::read(store, &path.join(".zattrs"))?,
         };
         let Some(attributes) = attributes else { return Ok(None) };
@@ -113,7 +117,7 @@ impl Multiscale {
         let channels = channels.map_or(&[][..], |list| &list[..list.len().min(1024)]);
         let looks = channels.iter().map(look).collect();
         let channels = channels.iter().map(label).collect();
-        Ok(Self { version, axes, levels, all, channels, looks, is_image: true })
+        Ok(Self { version, axes, levels, all, channels, looks, labels: labels(attributes), is_image: true })
     }
 
     fn of_array(store: &Store, path: &Path) -> Result<Option<Self>, FormatError> {
@@ -131,7 +135,16 @@ impl Multiscale {
             .map_err(bad)?;
         let levels = vec![LevelPath { path: PathBuf::new(), own: None }];
         let (version, all) = (String::new(), Transform::none(n));
-        Ok(Some(Self { version, axes, levels, all, channels: vec![], looks: vec![], is_image: false }))
+        Ok(Some(Self {
+            version,
+            axes,
+            levels,
+            all,
+            channels: vec![],
+            looks: vec![],
+            labels: None,
+            is_image: false,
+        }))
     }
 
     /// Sizes along x, y and z of an array with this shape.
@@ -144,7 +157,8 @@ impl Multiscale {
 
     /// Channels of an array with this shape that are parts of one picture.
     pub(super) fn num_channels(&self, shape: &[u64]) -> u64 {
-        let axis = self.axes.iter().position(|a| a.kind == AxisKind::Channel).filter(|_| self.is_image);
+        let is_joint = self.is_image && self.labels.is_none();
+        let axis = self.axes.iter().position(|a| a.kind == AxisKind::Channel).filter(|_| is_joint);
         axis.and_then(|axis| shape.get(axis)).copied().unwrap_or(1)
     }
 
@@ -220,9 +234,11 @@ impl Multiscale {
         let mut plan = Plan::new(format, array.dtype, array.codecs.endian, axes, geometry);
         plan.channel_names.clone_from(&self.channels);
         plan.channel_looks.clone_from(&self.looks);
-        if self.is_image {
+        if self.is_image && self.labels.is_none() {
             plan.join_channels();
         }
+        plan.are_labels = self.labels.is_some();
+        plan.labels = self.labels.clone().unwrap_or_default();
         plan.level = level;
         if arrays.len() > 1 {
             let spacing = |place: &Transform, k: usize| {
@@ -249,6 +265,29 @@ impl Multiscale {
         }
         Ok(plan)
     }
+}
+
+/// What an `image-label` says about its labels; `None` if there is none.
+fn labels(attributes: &Value) -> Option<Vec<VolumeLabel>> {
+    let told = attributes.get("image-label").filter(|told| told.is_object())?;
+    let list = |key: &str| told[key].as_array().map_or(&[][..], |list| &list[..list.len().min(MAX_LABELS)]);
+    let value = |entry: &Value| entry["label-value"].as_u64().and_then(|n| u32::try_from(n).ok());
+    let mut found = BTreeMap::<u32, (String, Option<[u8; 3]>)>::new();
+    for entry in list("colors") {
+        let part = |i: usize| entry["rgba"][i].as_u64().and_then(|n| u8::try_from(n).ok());
+        let color = part(0).zip(part(1)).zip(part(2)).map(|((r, g), b)| [r, g, b]);
+        if let Some(value) = value(entry) {
+            found.entry(value).or_default().1 = color;
+        }
+    }
+    for entry in list("properties") {
+        let name = ["name", "label", "class"].iter().find_map(|key| entry[*key].as_str());
+        if let (Some(value), Some(name)) = (value(entry), name) {
+            found.entry(value).or_default().0 = quoted(name).trim_matches('"').to_owned();
+        }
+    }
+    let label = |(value, (name, color))| VolumeLabel { value, name, color };
+    Some(found.into_iter().filter(|(value, _)| *value > 0).map(label).collect())
 }
 
 /// A colour in six hexadecimal digits, perhaps after a number sign.
@@ -329,3 +368,5 @@ impl Transform {
 }
 
 const MAX_LEVELS: usize = 64;
+/// Most labels with a name or colour.
+const MAX_LABELS: usize = 1 << 16;
