@@ -143,7 +143,7 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
     let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
         options;
     let Timing { clock, after_work } = timing;
-    let scene = Scene::new(volume, &look.transfer, look.march_settings());
+    let scene = Scene::of_look(volume, &look);
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
     let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts));
     let options = isinglass_net::ServerOptions { max_viewers, clock };
