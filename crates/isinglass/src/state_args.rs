@@ -141,9 +141,10 @@ impl Seen {
         lists: &ListArgs,
     ) -> Result<(OpenedScene, Look)> {
         let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
-        let wanted = self.look(opened.transfer.clone(), look, lighting, lists)?;
+        let upright = lighting.upright(opened.scene.volume.info.orientation.as_deref());
+        let wanted = self.look(opened.transfer.clone(), look, upright, lists)?;
         self.note_oddities(&opened.scene.volume, &wanted);
-        if self.state.look.is_some() {
+        if self.state.look.is_some() || upright != lighting {
             opened.scene = opened.scene.with_look(&wanted.transfer, wanted.march_settings());
             opened.transfer = wanted.transfer.clone();
         }
@@ -172,6 +173,7 @@ impl Seen {
         lighting: Lighting,
         lists: &ListArgs,
     ) -> Result<Look> {
+        let lighting = lighting.upright(opened.volume.info.orientation.as_deref());
         let wanted = self.look(opened.transfer.clone(), look, lighting, lists)?;
         self.note_oddities(&opened.volume, &wanted);
         Ok(wanted)
