@@ -36,7 +36,13 @@ fn volume(channel: u32) -> Volume {
 
 fn parts(channel: u32) -> Choices {
     Choices {
-        shown: Part { channel: Some(channel), time: Some(0), level: Some(0), series: Some(0), region: None },
+        shown: Part {
+            channel: Some(channel),
+            time: Some(0),
+            level: Some(0),
+            series: Some(0),
+            ..Part::default()
+        },
         whole_dims: [24; 3],
         num_channels: 3,
         channels: ["DAPI", "GFP", "actin"].map(str::to_owned).into(),

@@ -78,7 +78,7 @@ pub use raw::RawShape;
 pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use remembered::Remembered;
 pub use scene::{OpenedScene, open_scene, scene_of};
-pub use selection::{Region, Selection};
+pub use selection::{Flip, Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{OpenOptions, open, outline, source_exists};
 pub use state::{

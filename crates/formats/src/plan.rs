@@ -58,6 +58,8 @@ pub(crate) struct Plan {
     pub(crate) channel: u64,
     /// Number of points in time if no axis has them.
     pub(crate) num_times: u64,
+    /// Time from one point in time to the next, seconds, from [`crate::units::time_step`].
+    pub(crate) time_step: Option<f64>,
     /// Levels of a pyramid, finest first; empty if there is one.
     pub(crate) levels: Vec<Level>,
     pub(crate) level: usize,
@@ -99,6 +101,7 @@ impl Plan {
             num_channels: 1,
             channel: 0,
             num_times: 1,
+            time_step: None,
             levels: Vec::new(),
             level: 0,
             series: Vec::new(),
@@ -159,6 +162,7 @@ impl Plan {
             Some(spacing) => self.geometry.with_spacing(spacing).map_err(bad)?,
             None => self.geometry.clone(),
         };
+        let geometry = geometry.flipped(selection.flip.0, file_dims).map_err(bad)?;
         let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref()).map_err(bad)?;
         let mut warnings = [&self.warnings[..], &grid.warnings[..]].concat();
         if let Some(text) = self.spacing_guess.as_ref().filter(|_| options.spacing.is_none()) {
@@ -212,6 +216,7 @@ impl Plan {
                 level: Some(level),
                 series: Some(options.selection.series.unwrap_or(self.usual_series)),
                 region: options.selection.region,
+                flip: options.selection.flip,
             },
             name: file_name(path),
             format: self.format.clone(),
@@ -229,6 +234,7 @@ impl Plan {
             },
             num_channels: self.channels(),
             num_times: self.times(),
+            time_step: self.time_step.filter(|_| self.times() > 1),
             levels: self.levels.clone(),
             level,
             series: self.series.clone(),

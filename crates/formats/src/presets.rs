@@ -1,5 +1,6 @@
 //! The built-in transfer functions, and the choice of one for a volume.
 
+use isinglass_core::space::are_of_body;
 use isinglass_core::transfer::{Domain, TransferFunction};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
@@ -50,7 +51,7 @@ pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &
         None => {
             of_values(volume, histogram).unwrap_or_else(|| match Statistics::of(volume, histogram).preset() {
                 // A volume with an orientation shows a body, not a plant or a stone.
-                "ct" if volume.info.orientation.is_some() => "ct-windowed",
+                "ct" if are_of_body(volume.info.orientation.as_deref()) => "ct-windowed",
                 name => name,
             })
         }
@@ -402,6 +403,7 @@ mod tests {
             default_preset("file", &volume, &Histogram::of(&volume))
         };
         assert_eq!((pick(None), pick(Some("RAS"))), ("ct", "ct-windowed"));
+        assert_eq!(pick(Some(isinglass_core::space::IMAGE_AXES)), "ct");
     }
 
     #[test]

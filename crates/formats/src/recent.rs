@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{FormatError, io_error, shown, syntax_error};
 use crate::raw::RawShape;
-use crate::selection::{Region, Selection};
+use crate::selection::{Flip, Region, Selection};
 use crate::source::read_file;
 use crate::volume_source::VolumeSource;
 
@@ -142,6 +142,7 @@ struct StoredEntry {
     level: Option<u32>,
     series: Option<u32>,
     region: Option<String>,
+    flip: Option<String>,
     spacing: Option<[f32; 3]>,
     stored_slices: Option<bool>,
     raw: Option<RawShape>,
@@ -155,7 +156,7 @@ impl StoredEntry {
             RecentPlace::Volume(volume) => (None, None, Some(volume)),
         };
         let selection = volume.map_or(Selection::default(), |v| v.selection);
-        let Selection { channel, time, level, series, region } = selection;
+        let Selection { channel, time, level, series, region, flip } = selection;
         Self {
             server,
             remote,
@@ -167,6 +168,7 @@ impl StoredEntry {
             level,
             series,
             region: region.map(|r| r.to_string()),
+            flip: Some(flip).filter(|f| *f != Flip::default()).map(|f| f.to_string()),
             spacing: volume.and_then(|v| v.spacing).map(Vec3::into),
             stored_slices: volume.is_some_and(|v| v.stored_slices).then_some(true),
             raw: volume.and_then(|v| v.raw),
@@ -188,7 +190,8 @@ impl StoredEntry {
             }
             (None, None, Some(source)) => {
                 let region = self.region.and_then(|r| r.parse::<Region>().ok());
-                let selection = Selection { channel, time, level, series, region };
+                let flip = self.flip.and_then(|f| f.parse().ok()).unwrap_or_default();
+                let selection = Selection { channel, time, level, series, region, flip };
                 let spacing = spacing.map(Vec3::from);
                 let stored_slices = self.stored_slices == Some(true);
                 let volume =

@@ -9,8 +9,8 @@ use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::{Choices, Part};
 use isinglass_formats::{
-    FormatError, LoadRequest, OpenOptions, Outline, Region, Selection, default_channels, default_transfer,
-    load_transfer, open, outline,
+    Flip, FormatError, LoadRequest, OpenOptions, Outline, Region, Selection, default_channels,
+    default_transfer, load_transfer, open, outline,
 };
 use isinglass_server::{Library, Loaded, Loader, Survey};
 
@@ -58,7 +58,8 @@ impl FileLoader {
     pub(crate) fn opened(self, volume: Arc<Volume>, outline: &Outline) -> Result<OpenedFile> {
         let transfer = self.transfer_of(&volume);
         let (parts, channels) = (parts_of(outline), default_channels(&volume));
-        let library = Library { parts, loader: Arc::new(self) };
+        let volume_memory = self.request.max_bytes;
+        let library = Library { parts, loader: Arc::new(self), volume_memory };
         Ok(OpenedFile { volume, transfer, channels, library })
     }
 
@@ -100,6 +101,7 @@ fn parts_of(outline: &Outline) -> Choices {
         num_channels: count(outline.num_channels),
         channels: outline.channels.clone(),
         num_times: count(outline.num_times),
+        time_step: outline.time_step.map(|seconds| seconds as f32).filter(|s| s.is_finite() && *s > 0.0),
         levels: outline.levels.iter().map(|level| level.dims).collect(),
         num_series: count(outline.series.len() as u64),
         series: outline.series.clone(),
@@ -108,18 +110,18 @@ fn parts_of(outline: &Outline) -> Choices {
 }
 
 fn part_of(selection: &Selection) -> Part {
-    let &Selection { channel, time, level, series, region } = selection;
+    let &Selection { channel, time, level, series, region, flip } = selection;
     let ends = |r: Region| std::array::from_fn(|i| [r.min[i], r.max[i].unwrap_or(u32::MAX)]);
-    Part { channel, time, level, series, region: region.map(ends) }
+    Part { channel, time, level, series, region: region.map(ends), flip: flip.0 }
 }
 
 fn selection_of(part: &Part) -> Selection {
-    let &Part { channel, time, level, series, region } = part;
+    let &Part { channel, time, level, series, region, flip } = part;
     let region = region.map(|r| Region {
         min: r.map(|[from, _]| from),
         max: r.map(|[_, to]| (to != u32::MAX).then_some(to)),
     });
-    Selection { channel, time, level, series, region }
+    Selection { channel, time, level, series, region, flip: Flip(flip) }
 }
 
 #[cfg(test)]
@@ -130,8 +132,9 @@ mod tests {
     fn a_selection_survives_the_wire() {
         for region in [None, Some(":,5:,1:7")] {
             let region = region.map(|r| r.parse().unwrap());
+            let flip = Flip([false, region.is_some(), true]);
             let selection =
-                Selection { channel: Some(3), time: None, level: Some(0), series: Some(9), region };
+                Selection { channel: Some(3), time: None, level: Some(0), series: Some(9), region, flip };
             assert_eq!(selection_of(&part_of(&selection)), selection);
         }
     }

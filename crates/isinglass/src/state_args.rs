@@ -142,10 +142,11 @@ impl Seen {
         lists: &ListArgs,
     ) -> Result<(OpenedScene, Look)> {
         let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
+        let upright = lighting.upright(opened.scene.volume.info.orientation.as_deref());
         let classes = (opened.transfer.clone(), opened.channels.clone());
-        let wanted = self.look(classes, look, lighting, lists)?;
+        let wanted = self.look(classes, look, upright, lists)?;
         self.note_oddities(opened.scene.whole(), &wanted);
-        if self.state.look.is_some() {
+        if self.state.look.is_some() || upright != lighting {
             opened.scene = opened.scene.under(&wanted, Detail::Final, None);
             (opened.transfer, opened.channels) = (wanted.transfer.clone(), wanted.channels.clone());
         }
@@ -174,6 +175,7 @@ impl Seen {
         lighting: Lighting,
         lists: &ListArgs,
     ) -> Result<Look> {
+        let lighting = lighting.upright(opened.volume.info.orientation.as_deref());
         let classes = (opened.transfer.clone(), opened.channels.clone());
         let wanted = self.look(classes, look, lighting, lists)?;
         self.note_oddities(&opened.volume, &wanted);

@@ -48,6 +48,11 @@ impl Lights {
         }
     }
 
+    /// The scene that was there first, with its look's shade.
+    pub(crate) fn first_scene(&self) -> &Scene {
+        &self.base
+    }
+
     pub(crate) fn volume(&self) -> &Volume {
         self.base.whole()
     }

@@ -108,6 +108,7 @@ fn part() -> Part {
         level: Some(2),
         series: None,
         region: Some([[0, 1], [2, 3], [4, 5]]),
+        flip: [false, true, false],
     }
 }
 
@@ -221,6 +222,7 @@ fn server_messages() -> Vec<ServerMessage> {
             num_channels: 2,
             channels: vec!["a".into(), "b".into()],
             num_times: 3,
+            time_step: Some(0.5),
             levels: vec![[1, 2, 3]],
             num_series: 1,
             series: vec!["s".into()],

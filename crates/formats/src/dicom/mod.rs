@@ -210,6 +210,9 @@ impl DicomFiles {
         plan.spacing_guess = stacked.spacing_guess;
         plan.modality = stacked.modality;
         plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
+        // Slices may have windows of their own. That in the middle of the stack stands for all.
+        let window = frames.get(num_slices / 2).and_then(|frame| frame.window);
+        plan.windows = vec![window.filter(|_| shape.samples == 1 && !shape.is_inverted)];
         if shape.samples == 3 {
             plan.channel_names = color_names(3);
         }
