@@ -22,6 +22,17 @@ pub struct Host {
 impl Host {
     /// Shows a part of the file that `loader` reads, at first as the preset says.
     pub fn new(volume: Volume, preset: &str, parts: Choices, loader: Arc<dyn Loader>) -> Self {
+        Self::within(volume, preset, parts, loader, [1 << 30; 2])
+    }
+
+    /// The same within so many bytes for all frames, and for all volumes.
+    pub fn within(
+        volume: Volume,
+        preset: &str,
+        parts: Choices,
+        loader: Arc<dyn Loader>,
+        [frame_memory, volume_memory]: [u64; 2],
+    ) -> Self {
         let mut threads = tokio::runtime::Builder::new_multi_thread();
         let runtime = threads.worker_threads(2).enable_all().build().expect("threads for the server");
         let options = ServeOptions {
@@ -31,8 +42,8 @@ impl Host {
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             plan: CodingPlan::EXACT,
             max_viewers: 4,
-            frame_memory: 1 << 30,
-            library: Some(Library { parts, loader }),
+            frame_memory,
+            library: Some(Library { parts, loader, volume_memory }),
             timing: Timing::default(),
         };
         let server = runtime.block_on(async { start(options) }).expect("a port of loopback");

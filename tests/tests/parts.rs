@@ -47,7 +47,13 @@ fn volume(time: u32) -> Volume {
 fn parts(time: u32) -> Choices {
     Choices {
         // Each time has another channel, whose numbers mean something else.
-        shown: Part { channel: Some(time), time: Some(time), level: Some(0), series: Some(0), region: None },
+        shown: Part {
+            channel: Some(time),
+            time: Some(time),
+            level: Some(0),
+            series: Some(0),
+            ..Part::default()
+        },
         whole_dims: [24; 3],
         num_channels: 3,
         num_times: 3,
@@ -82,7 +88,7 @@ impl Loader for Film {
         }
         let time = part.time.unwrap();
         let transfer = load_transfer(["shells", "cubus", "cloud"][time as usize]).unwrap();
-        Ok(Loaded { volume: volume(time), transfer })
+        Ok(Loaded { volume: volume(time), transfer, channels: Default::default() })
     }
 }
 

@@ -36,7 +36,13 @@ fn volume(channel: u32) -> Volume {
 
 fn parts(channel: u32) -> Choices {
     Choices {
-        shown: Part { channel: Some(channel), time: Some(0), level: Some(0), series: Some(0), region: None },
+        shown: Part {
+            channel: Some(channel),
+            time: Some(0),
+            level: Some(0),
+            series: Some(0),
+            ..Part::default()
+        },
         whole_dims: [24; 3],
         num_channels: 3,
         channels: ["DAPI", "GFP", "actin"].map(str::to_owned).into(),
@@ -57,7 +63,7 @@ impl Loader for Cells {
     fn load(&self, part: &Part, _progress: &dyn Fn(f32), _cancel: &AtomicBool) -> Result<Loaded, String> {
         let channel = part.channel.unwrap();
         let transfer = load_transfer(["shells", "cubus", "cloud"][channel as usize]).unwrap();
-        Ok(Loaded { volume: volume(channel), transfer })
+        Ok(Loaded { volume: volume(channel), transfer, channels: Default::default() })
     }
 }
 

@@ -31,9 +31,22 @@ impl Ray {
 
 /// The rotation from upright to world space for axes that point to `letters`, such as `RAS`: a body's superior side
 /// is up and its anterior side in front. Without letters that name one end of each axis, up is y and z points to the
-/// front.
+/// front. The axes of an image ([`IMAGE_AXES`]) are seen as on a page.
 pub fn world_from_upright(letters: Option<&str>) -> Quat {
-    letters.and_then(upright_body).unwrap_or(Quat::IDENTITY)
+    match letters {
+        // Half a turn about x.
+        Some(IMAGE_AXES) => Quat::from_xyzw(1.0, 0.0, 0.0, 0.0),
+        letters => letters.and_then(upright_body).unwrap_or(Quat::IDENTITY),
+    }
+}
+
+/// The letters of an image: x runs to the right, y down, and z back from the viewer. So the first row is at the top,
+/// and the first slice is the nearest.
+pub const IMAGE_AXES: &str = "RDB";
+
+/// Whether axes that point to `letters` are those of a body, and not of an image or of nothing known.
+pub fn are_of_body(letters: Option<&str>) -> bool {
+    letters.is_some_and(|letters| upright_body(letters).is_some())
 }
 
 fn upright_body(letters: &str) -> Option<Quat> {
@@ -159,6 +172,9 @@ mod tests {
             // Whoever faces the viewer has the left hand at the viewer's right.
             assert!((turn * Vec3::X - axis(letters, 'L')).length() < 1e-6, "{letters}");
         }
+        let image = world_from_upright(Some(IMAGE_AXES));
+        assert_eq!([Vec3::X, Vec3::Y, Vec3::Z].map(|v| image * v), [Vec3::X, Vec3::NEG_Y, Vec3::NEG_Z]);
+        assert!(are_of_body(Some("LPS")) && !are_of_body(Some(IMAGE_AXES)) && !are_of_body(None));
         for other in [None, Some(""), Some("RAX"), Some("RLS"), Some("RASA"), Some("räs")] {
             assert_eq!(world_from_upright(other), Quat::IDENTITY, "{other:?}");
         }

@@ -8,6 +8,7 @@
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
+use isinglass_core::space::IMAGE_AXES;
 use isinglass_core::volume::{Placement, Volume, Voxels};
 
 use crate::selection::Region;
@@ -20,8 +21,8 @@ pub(crate) struct Geometry {
     pub(crate) steps: [DVec3; 3],
     /// Centre of the first voxel, if known.
     pub(crate) origin: Option<DVec3>,
-    /// Whether the world is that of a body.
-    pub(crate) is_body: bool,
+    /// What the world is of.
+    pub(crate) world: World,
     /// Unit of length, if known.
     pub(crate) unit: Option<String>,
 }
@@ -30,7 +31,27 @@ impl Geometry {
     /// Axes that run along x, y and z of a space without a body.
     pub(crate) fn along_axes(spacing: [f64; 3], unit: Option<String>) -> Self {
         let steps = std::array::from_fn(|i| DVec3::AXES[i] * spacing[i]);
-        Self { steps, origin: None, is_body: false, unit }
+        Self { steps, origin: None, world: World::Space, unit }
+    }
+
+    /// The axes of an image: columns, rows and slices.
+    pub(crate) fn of_image(spacing: [f64; 3], unit: Option<String>) -> Self {
+        Self { world: World::Image, ..Self::along_axes(spacing, unit) }
+    }
+
+    /// The same mirrored along some of the volume's axes, about its middle. The file has so many voxels along its own.
+    pub(crate) fn flipped(&self, flip: [bool; 3], file_dims: [u64; 3]) -> Result<Self, String> {
+        let mut flipped = self.clone();
+        if flip == [false; 3] {
+            return Ok(flipped);
+        }
+        for ((axis, _), _) in order(self.steps)?.into_iter().zip(flip).filter(|(_, is_flipped)| *is_flipped) {
+            let step = self.steps[axis];
+            // What was the last voxel is the first.
+            flipped.origin = flipped.origin.map(|p| p + step * (file_dims[axis] as f64 - 1.0));
+            flipped.steps[axis] = -step;
+        }
+        Ok(flipped)
     }
 
     /// The same directions with these distances along x, y and z of the volume.
@@ -45,6 +66,28 @@ impl Geometry {
             geometry.steps[axis] = steps[axis].normalize() * f64::from(spacing[k]);
         }
         Ok(geometry)
+    }
+}
+
+/// What a world is of. It decides which side is seen from the front.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum World {
+    /// A body, in RAS+.
+    Body,
+    /// An image: x to the right, y down, z back from the viewer.
+    Image,
+    /// Anything else: x to the right, y up, z towards the viewer.
+    Space,
+}
+
+impl World {
+    /// The letters of its axes.
+    fn letters(self) -> Option<&'static str> {
+        match self {
+            Self::Body => Some("RAS"),
+            Self::Image => Some(IMAGE_AXES),
+            Self::Space => None,
+        }
     }
 }
 
@@ -67,6 +110,7 @@ pub(crate) struct Grid {
     /// Distances along x, y and z.
     pub(crate) spacing: Vec3,
     pub(crate) orientation: Option<String>,
+    is_body: bool,
     pub(crate) placement: Option<Placement>,
     pub(crate) warnings: Vec<Warning>,
 }
@@ -108,7 +152,8 @@ impl Grid {
             let center = (0..3).fold(origin, |p, i| p + steps[i] * middle(i));
             Placement { center: center.to_array(), axes: axes.map(|a| a.to_array()) }
         });
-        let mut warnings = warnings(order, axes, geometry.is_body);
+        let is_body = geometry.world == World::Body;
+        let mut warnings = warnings(order, axes, is_body);
         if thin != [1; 3] {
             let [x, y, z] = order.map(|(axis, _)| thin[axis]);
             let long = (0..3).map(length).max().filter(|n| *n > max);
@@ -125,7 +170,8 @@ impl Grid {
                 order.map(|(axis, _)| (steps[axis].length() * thin[axis] as f64) as f32),
             ),
             thin,
-            orientation: geometry.is_body.then(|| "RAS".to_owned()),
+            orientation: geometry.world.letters().map(str::to_owned),
+            is_body,
             placement: placement.filter(|p| p.center.iter().all(|c| c.is_finite())),
             warnings,
         })
@@ -148,7 +194,7 @@ impl Grid {
 
     /// Where the axes of the file point, such as `LPS` or `+x-y+z`.
     pub(crate) fn file_axes(&self) -> String {
-        file_axes(self.order, self.orientation.is_some())
+        file_axes(self.order, self.is_body)
     }
 
     /// Whether reordering needs a second copy of the voxels.
@@ -283,7 +329,8 @@ mod tests {
     use crate::hyperslab::{Hyperslab, Steps};
 
     fn geometry(steps: [DVec3; 3], is_body: bool) -> Geometry {
-        Geometry { steps, origin: Some(DVec3::new(10.0, -20.0, 30.0)), is_body, unit: None }
+        let world = if is_body { World::Body } else { World::Space };
+        Geometry { steps, origin: Some(DVec3::new(10.0, -20.0, 30.0)), world, unit: None }
     }
 
     /// The six orders of three axes and the eight signs, as steps of a file.
@@ -335,6 +382,39 @@ mod tests {
                 assert_eq!(seen.len(), voxels.len());
             }
         }
+    }
+
+    /// A mirrored volume has each voxel on the other side of its middle, and stays where it is.
+    #[test]
+    fn every_flip_of_every_orientation_mirrors_about_the_middle() {
+        let file = [4u64, 3, 2];
+        for (_, _, steps) in every_orientation([1.5, 2.0, 3.0]) {
+            let own = geometry(steps, true);
+            let plain = Grid::arrange(file, &own, None, 1).unwrap();
+            let voxels = |grid: &Grid| grid.reorder_vec((0..24u8).collect());
+            for signs in 0..8 {
+                let flip = [0, 1, 2].map(|k| signs >> k & 1 == 1);
+                let grid = Grid::arrange(file, &own.flipped(flip, file).unwrap(), None, 1).unwrap();
+                assert_eq!((grid.placement, &grid.orientation), (plain.placement, &plain.orientation));
+                let [nx, ny, nz] = grid.dims().map(|n| n as usize);
+                let at = |x: usize, y: usize, z: usize| x + nx * (y + ny * z);
+                let side = |k: usize, i: usize, n: usize| if flip[k] { n - 1 - i } else { i };
+                let (found, before) = (voxels(&grid), voxels(&plain));
+                for (x, y, z) in (0..24).map(|i| (i % nx, i / nx % ny, i / nx / ny)) {
+                    let from = at(side(0, x, nx), side(1, y, ny), side(2, z, nz));
+                    assert_eq!(found[at(x, y, z)], before[from], "{steps:?} {flip:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_image_has_axes_of_its_own() {
+        let grid = |geometry| Grid::arrange([4, 3, 2], &geometry, None, 1).unwrap();
+        let image = grid(Geometry::of_image([1.0, 2.0, 3.0], None));
+        assert_eq!((image.orientation.as_deref(), image.file_axes()), (Some(IMAGE_AXES), "+x+y+z".into()));
+        assert!(image.warnings.is_empty() && image.order == FILE_ORDER);
+        assert_eq!(grid(Geometry::along_axes([1.0; 3], None)).orientation, None, "control");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use isinglass_core::space::IMAGE_AXES;
 use isinglass_core::volume::{Histogram, Volume};
 use serde::ser::{SerializeMap, Serializer};
 
@@ -76,7 +77,11 @@ impl fmt::Display for VolumeFacts {
         let pairs: Vec<String> =
             PERCENTILES.iter().zip(self.percentiles).map(|(p, value)| format!("{p} %: {value}")).collect();
         writeln!(f, "  percentiles  {}", pairs.join("   "))?;
-        writeln!(f, "  orientation  {}", self.orientation.as_deref().unwrap_or("unknown"))?;
+        let orientation = match self.orientation.as_deref() {
+            Some(IMAGE_AXES) => "of an image: x to the right, y down, z back",
+            letters => letters.unwrap_or("unknown"),
+        };
+        writeln!(f, "  orientation  {orientation}")?;
         let bytes = self.bytes_in_memory as f64;
         let (amount, unit) = if bytes < 1e6 { (bytes / 1e3, "kB") } else { (bytes / 1e6, "MB") };
         writeln!(f, "  memory       {amount:.1} {unit}")?;

@@ -13,6 +13,7 @@
 
 mod alike;
 mod axes;
+mod channel_looks;
 mod channels;
 mod collector;
 mod content;
@@ -69,6 +70,7 @@ mod xml;
 mod zarr;
 mod zip;
 
+pub use channel_looks::default_channels;
 pub use content::{Content, content_of};
 pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};
@@ -82,7 +84,7 @@ pub use reading::{Meaning, Reading};
 pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use remembered::Remembered;
 pub use scene::{OpenedScene, open_scene, scene_of};
-pub use selection::{Region, Selection};
+pub use selection::{Flip, Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{OpenOptions, open, outline, source_exists};
 pub use state::{

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use crate::axes::{Geometry, ras_from_lps};
+use crate::axes::{Geometry, World, ras_from_lps};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, quoted, shown};
@@ -329,7 +329,8 @@ impl MetaFields {
             steps[2] = normal * steps[0].length();
         }
         // ITK uses millimetres for bodies. Without a body, the unit is unknown.
-        Ok(Geometry { steps, origin, is_body, unit: is_body.then(|| "mm".to_owned()) })
+        let world = if is_body { World::Body } else { World::Space };
+        Ok(Geometry { steps, origin, world, unit: is_body.then(|| "mm".to_owned()) })
     }
 
     /// The names of the files with the voxels; `None` if the voxels follow the header.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use crate::axes::Geometry;
+use crate::axes::{Geometry, World};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed};
@@ -58,8 +58,12 @@ impl MghFile {
         };
         let steps: [DVec3; 3] = std::array::from_fn(|i| directions[i] * spacing[i]);
         let corner = (0..3).fold(center, |p, i| p - steps[i] * (sizes[i] as f64 / 2.0));
-        let geometry =
-            Geometry { steps, origin: Some(corner), is_body: true, unit: is_placed.then(|| "mm".to_owned()) };
+        let geometry = Geometry {
+            steps,
+            origin: Some(corner),
+            world: World::Body,
+            unit: is_placed.then(|| "mm".to_owned()),
+        };
         let mut plan = Plan::new("MGH", dtype, Endian::Big, axes, geometry);
         if !is_placed {
             plan.spacing_guess =

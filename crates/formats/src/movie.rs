@@ -5,6 +5,7 @@
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use tempfile::NamedTempFile;
 
@@ -47,6 +48,7 @@ pub struct MovieWriter {
     encoder: MovieEncoder,
     size: [u32; 2],
     left: u32,
+    interval: Duration,
 }
 
 enum MovieEncoder {
@@ -55,7 +57,8 @@ enum MovieEncoder {
 }
 
 impl MovieWriter {
-    /// Begins a movie of `num_pictures` of this size, in pixels, at [`PICTURES_PER_SECOND`]. It plays without end.
+    /// Begins a movie of `num_pictures` of this size, in pixels, with so much time from one to the next: [`INTERVAL`]
+    /// for a camera that moves, [`interval_of_times`] for times. It plays without end.
     ///
     /// # Errors
     /// The folder takes no file, or the size is too large for the form.
@@ -64,6 +67,7 @@ impl MovieWriter {
         form: MovieForm,
         size: [u32; 2],
         num_pictures: u32,
+        interval: Duration,
     ) -> Result<Self, FormatError> {
         let failed = io_error(path);
         let path = &resolved(path);
@@ -71,8 +75,8 @@ impl MovieWriter {
         let Some(file) = file_beside(path).map_err(&failed)? else {
             return Err(failed(io::Error::other("a movie needs a file of its own")));
         };
-        let encoder = begin(&file, form, size, num_pictures).map_err(&failed)?;
-        Ok(Self { path: path.to_owned(), file, encoder, size, left: num_pictures })
+        let encoder = begin(&file, form, size, num_pictures, interval).map_err(&failed)?;
+        Ok(Self { path: path.to_owned(), file, encoder, size, left: num_pictures, interval })
     }
 
     /// Adds the next picture.
@@ -119,8 +123,8 @@ impl MovieWriter {
             MovieEncoder::Gif(encoder) => {
                 let [width, height] = self.size.map(|side| side as u16);
                 let mut frame = gif::Frame::from_rgb_speed(width, height, &picture.bytes, GIF_SPEED);
-                // In hundredths of a second.
-                frame.delay = (100 / PICTURES_PER_SECOND) as u16;
+                // In hundredths of a second. Programs show a shorter one slowly.
+                frame.delay = (self.interval.as_millis() / 10).clamp(2, u16::MAX.into()) as u16;
                 encoder.write_frame(&frame).map_err(io::Error::other)
             }
             MovieEncoder::Apng(encoder) => encoder.write_image_data(&picture.bytes).map_err(io::Error::from),
@@ -133,6 +137,7 @@ fn begin(
     form: MovieForm,
     size: [u32; 2],
     num_pictures: u32,
+    interval: Duration,
 ) -> io::Result<MovieEncoder> {
     let [width, height] = size;
     let file = file.as_file().try_clone()?;
@@ -150,7 +155,7 @@ fn begin(
             encoder.set_color(png::ColorType::Rgb);
             encoder.set_depth(png::BitDepth::Eight);
             encoder.set_animated(num_pictures, 0)?;
-            encoder.set_frame_delay(1, PICTURES_PER_SECOND as u16)?;
+            encoder.set_frame_delay(interval.as_millis().min(u16::MAX.into()) as u16, 1000)?;
             Ok(MovieEncoder::Apng(encoder.write_header()?))
         }
     }
@@ -160,8 +165,21 @@ fn num_bytes([width, height]: [u32; 2]) -> usize {
     3 * width as usize * height as usize
 }
 
+/// The time from one point in time of a file to the next while they are played: `time_step` seconds, as in the file,
+/// unless it tells none or nobody would wait so long.
+pub fn interval_of_times(time_step: Option<f64>) -> Duration {
+    let own = time_step.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    own.filter(|own| (Duration::from_nanos(1)..=LONGEST_INTERVAL).contains(own)).unwrap_or(USUAL_INTERVAL)
+}
+
 /// The speed of a movie. A GIF counts in hundredths of a second, so this divides 100.
 pub const PICTURES_PER_SECOND: u32 = 25;
+/// The time from one picture to the next at that speed.
+pub const INTERVAL: Duration = Duration::from_millis(1000 / PICTURES_PER_SECOND as u64);
+/// The interval of times that a file tells none of: five a second.
+const USUAL_INTERVAL: Duration = Duration::from_millis(200);
+/// Longer intervals are those of a film in time lapse.
+const LONGEST_INTERVAL: Duration = Duration::from_secs(5);
 /// From 1, the best colours, to 30, the fastest.
 const GIF_SPEED: i32 = 10;
 
@@ -175,7 +193,11 @@ mod tests {
     }
 
     fn write(path: &Path, form: MovieForm, number: u32) -> Result<(), FormatError> {
-        let mut movie = MovieWriter::create(path, form, [12, 8], number)?;
+        write_at(path, form, number, INTERVAL)
+    }
+
+    fn write_at(path: &Path, form: MovieForm, number: u32, interval: Duration) -> Result<(), FormatError> {
+        let mut movie = MovieWriter::create(path, form, [12, 8], number, interval)?;
         (0..number).try_for_each(|i| movie.add(&picture(i)))?;
         movie.finish(false)
     }
@@ -197,7 +219,8 @@ mod tests {
             reader.next_frame(&mut bytes).unwrap();
             assert_eq!(bytes, picture(number).bytes, "{number}");
         }
-        assert_eq!(reader.info().frame_control().unwrap().delay_den, 25);
+        let delay = reader.info().frame_control().unwrap();
+        assert_eq!((delay.delay_num, delay.delay_den), (40, 1000));
         // It is a picture for programs that know no movies.
         assert_eq!(crate::png::decode(&std::fs::read(&path).unwrap(), 96).unwrap(), picture(0));
     }
@@ -219,6 +242,29 @@ mod tests {
             assert!(most <= 16, "{most} of 255");
         }
         assert!(reader.read_next_frame().unwrap().is_none());
+        for (milliseconds, hundredths) in [(500, 50), (1, 2), (5000, 500), (10_000_000, u16::MAX)] {
+            std::fs::remove_file(&path).unwrap();
+            write_at(&path, MovieForm::Gif, 1, Duration::from_millis(milliseconds)).unwrap();
+            let options = gif::DecodeOptions::new();
+            let mut reader = options.read_info(File::open(&path).unwrap()).unwrap();
+            assert_eq!(reader.read_next_frame().unwrap().unwrap().delay, hundredths);
+        }
+    }
+
+    #[test]
+    fn times_play_at_their_interval_and_a_film_in_time_lapse_is_played_faster() {
+        for (seconds, milliseconds) in [
+            (None, 200),
+            (Some(2.0), 2000),
+            (Some(0.04), 40),
+            (Some(600.0), 200),
+            (Some(0.0), 200),
+            (Some(-1.0), 200),
+            (Some(f64::NAN), 200),
+            (Some(1e300), 200),
+        ] {
+            assert_eq!(interval_of_times(seconds), Duration::from_millis(milliseconds), "{seconds:?}");
+        }
     }
 
     #[test]
@@ -227,13 +273,13 @@ mod tests {
         for form in [MovieForm::Gif, MovieForm::Apng] {
             let path = folder.path().join("a").with_extension(form.extension());
             assert_eq!(MovieForm::of(&path), Some(form));
-            let mut movie = MovieWriter::create(&path, form, [12, 8], 3).unwrap();
+            let mut movie = MovieWriter::create(&path, form, [12, 8], 3, INTERVAL).unwrap();
             movie.add(&picture(0)).unwrap();
             assert!(movie.finish(true).is_err(), "two are missing");
-            let mut movie = MovieWriter::create(&path, form, [12, 8], 1).unwrap();
+            let mut movie = MovieWriter::create(&path, form, [12, 8], 1, INTERVAL).unwrap();
             assert!(movie.add(&Rgb8 { width: 11, ..picture(0) }).is_err());
             drop(movie);
-            let mut movie = MovieWriter::create(&path, form, [12, 8], 1).unwrap();
+            let mut movie = MovieWriter::create(&path, form, [12, 8], 1, INTERVAL).unwrap();
             movie.add(&picture(0)).unwrap();
             assert!(movie.add(&picture(1)).is_err(), "one too many");
             drop(movie);
@@ -245,8 +291,14 @@ mod tests {
             assert_eq!(files(folder.path()), 1);
             std::fs::remove_file(&path).unwrap();
         }
-        assert!(MovieWriter::create(&folder.path().join("a.gif"), MovieForm::Gif, [70_000, 8], 1).is_err());
-        assert!(MovieWriter::create(folder.path(), MovieForm::Gif, [12, 8], 1).is_err(), "a folder");
+        assert!(
+            MovieWriter::create(&folder.path().join("a.gif"), MovieForm::Gif, [70_000, 8], 1, INTERVAL)
+                .is_err()
+        );
+        assert!(
+            MovieWriter::create(folder.path(), MovieForm::Gif, [12, 8], 1, INTERVAL).is_err(),
+            "a folder"
+        );
         assert_eq!(MovieForm::of(Path::new("a.png")), None);
     }
 }

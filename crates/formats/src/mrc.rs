@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use crate::axes::Geometry;
+use crate::axes::{Geometry, World};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed};
@@ -144,7 +144,7 @@ fn plan(w: HeaderBytes, endian: Endian) -> Result<Plan, String> {
     plan.geometry = Geometry {
         steps: order.map(|axis| DVec3::AXES[axis] * spacing[axis]),
         origin: is_good.then(|| DVec3::from_array(origin)),
-        is_body: false,
+        world: World::Space,
         unit: is_good.then(|| "Å".to_owned()),
     };
     Ok(plan)

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use crate::axes::Geometry;
+use crate::axes::{Geometry, World};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed};
@@ -18,6 +18,7 @@ use crate::header_bytes::HeaderBytes;
 use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
+use crate::units::time_step;
 use crate::warning::WarningKind;
 
 /// A file whose header was read.
@@ -210,8 +211,21 @@ impl NiftiHeader {
             plan.channel_looks = vec![ChannelLook { window: Some(self.window), ..ChannelLook::default() }];
         }
         plan.are_labels = self.intent == INTENT_LABEL;
+        plan.time_step = self.time_step();
         plan.geometry = self.geometry(&mut plan);
         Ok(plan)
+    }
+
+    /// Seconds from one volume to the next. The other units are of frequencies.
+    fn time_step(&self) -> Option<f64> {
+        let seconds = match self.units & 0x38 {
+            // Without a unit it is taken as seconds, as other programs do.
+            0 | 8 => 1.0,
+            16 => 1e-3,
+            24 => 1e-6,
+            _ => return None,
+        };
+        time_step(self.pixdim[4] * seconds)
     }
 
     /// The type of a number, and the number of colours of a voxel, or 0.
@@ -268,7 +282,7 @@ impl NiftiHeader {
         match sform.or(qform) {
             Some((steps, origin)) => {
                 let steps = steps.map(|s| s * mm);
-                Geometry { steps, origin: Some(origin * mm), is_body: true, unit }
+                Geometry { steps, origin: Some(origin * mm), world: World::Body, unit }
             }
             None => {
                 if !is_good {

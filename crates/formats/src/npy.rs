@@ -203,7 +203,7 @@ fn plan(text: &str, format: &str) -> Result<Plan, String> {
     axes.extend(rest.by_ref().take(3).enumerate().map(|(i, size)| Axis { size, role: Role::Space(i) }));
     let roles = if is_color { [Role::Time, Role::Time] } else { [Role::Channel, Role::Time] };
     axes.extend(rest.zip(roles).map(|(size, role)| Axis { size, role }));
-    let mut plan = Plan::new(format, dtype, endian, axes, Geometry::along_axes([1.0; 3], None));
+    let mut plan = Plan::new(format, dtype, endian, axes, Geometry::of_image([1.0; 3], None));
     plan.spacing_guess = Some("an array has no spacing; it was taken as 1".into());
     plan.warn(WarningKind::Guess, "an array does not name its axes; the fastest was taken as x");
     Ok(plan)

@@ -44,6 +44,9 @@ pub struct Outline {
     pub joins_channels: bool,
     /// Points in time.
     pub num_times: u64,
+    /// Time from one point in time to the next, seconds, if the file tells it and has several.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_step: Option<f64>,
     /// Levels of a pyramid, finest first; empty if there is one.
     pub levels: Vec<Level>,
     /// The selected level.
@@ -103,7 +106,8 @@ impl fmt::Display for Outline {
             writeln!(f, "  channels     {}: {}{more}{together}", self.num_channels, names.join(", "))?;
         }
         if self.num_times > 1 {
-            writeln!(f, "  times        {}", self.num_times)?;
+            let step = self.time_step.map_or(String::new(), |seconds| format!(", one every {seconds} s"));
+            writeln!(f, "  times        {}{step}", self.num_times)?;
         }
         for (i, level) in self.levels.iter().enumerate() {
             let [x, y, z] = level.spacing;

@@ -67,6 +67,8 @@ pub(crate) struct Plan {
     pub(crate) channel_looks: Vec<ChannelLook>,
     /// Number of points in time if no axis has them.
     pub(crate) num_times: u64,
+    /// Time from one point in time to the next, seconds, from [`crate::units::time_step`].
+    pub(crate) time_step: Option<f64>,
     /// Levels of a pyramid, finest first; empty if there is one.
     pub(crate) levels: Vec<Level>,
     pub(crate) level: usize,
@@ -110,6 +112,7 @@ impl Plan {
             num_joint: 1,
             channel_looks: Vec::new(),
             num_times: 1,
+            time_step: None,
             levels: Vec::new(),
             level: 0,
             series: Vec::new(),
@@ -197,6 +200,7 @@ impl Plan {
             Some(spacing) => self.geometry.with_spacing(spacing).map_err(bad)?,
             None => self.geometry.clone(),
         };
+        let geometry = geometry.flipped(selection.flip.0, file_dims).map_err(bad)?;
         let thin = options.reading.thin.unwrap_or(1);
         let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin).map_err(bad)?;
         let mut warnings = [&self.warnings[..], &grid.warnings[..]].concat();
@@ -276,6 +280,7 @@ impl Plan {
                 level: Some(level),
                 series: Some(options.selection.series.unwrap_or(self.usual_series)),
                 region: options.selection.region,
+                flip: options.selection.flip,
             },
             name: file_name(path),
             format: self.format.clone(),
@@ -294,6 +299,7 @@ impl Plan {
             num_channels: self.channels(),
             joins_channels: self.num_joint.min(self.channels()) > 1,
             num_times: self.times(),
+            time_step: self.time_step.filter(|_| self.times() > 1),
             levels: self.levels.clone(),
             level,
             series: self.series.clone(),

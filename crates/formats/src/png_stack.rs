@@ -46,7 +46,7 @@ impl PngStack {
         axes.extend(Axis::in_space([shape.width.into(), shape.height.into(), files.len() as u64]));
         let dtype = if shape.is_wide { Dtype::Uint16 } else { Dtype::Uint8 };
         let place = if files.len() > 1 { ", a file for each slice" } else { "" };
-        let geometry = Geometry::along_axes([1.0; 3], None);
+        let geometry = Geometry::of_image([1.0; 3], None);
         let mut plan = Plan::new(format!("PNG{place}"), dtype, Endian::Big, axes, geometry);
         match shape.samples {
             1 => {}

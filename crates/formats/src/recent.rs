@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{FormatError, io_error, shown, syntax_error};
 use crate::raw::RawShape;
 use crate::reading::{Meaning, Reading};
-use crate::selection::{Region, Selection};
+use crate::selection::{Flip, Region, Selection};
 use crate::source::read_file;
 use crate::volume_source::VolumeSource;
 
@@ -143,6 +143,7 @@ struct StoredEntry {
     level: Option<u32>,
     series: Option<u32>,
     region: Option<String>,
+    flip: Option<String>,
     spacing: Option<[f32; 3]>,
     stored_slices: Option<bool>,
     voxels: Option<Meaning>,
@@ -159,7 +160,7 @@ impl StoredEntry {
             RecentPlace::Volume(volume) => (None, None, Some(volume)),
         };
         let selection = volume.map_or(Selection::default(), |v| v.selection);
-        let Selection { channel, time, level, series, region } = selection;
+        let Selection { channel, time, level, series, region, flip } = selection;
         let reading = volume.map_or_else(Reading::default, |v| v.reading.clone());
         Self {
             server,
@@ -172,6 +173,7 @@ impl StoredEntry {
             level,
             series,
             region: region.map(|r| r.to_string()),
+            flip: Some(flip).filter(|f| *f != Flip::default()).map(|f| f.to_string()),
             spacing: volume.and_then(|v| v.spacing).map(Vec3::into),
             stored_slices: reading.stored_slices.then_some(true),
             voxels: reading.voxels,
@@ -196,7 +198,8 @@ impl StoredEntry {
             }
             (None, None, Some(source)) => {
                 let region = self.region.and_then(|r| r.parse::<Region>().ok());
-                let selection = Selection { channel, time, level, series, region };
+                let flip = self.flip.and_then(|f| f.parse().ok()).unwrap_or_default();
+                let selection = Selection { channel, time, level, series, region, flip };
                 let spacing = spacing.map(Vec3::from);
                 let stored_slices = self.stored_slices == Some(true);
                 let (voxels, thin, labels) = (self.voxels, self.thin, self.labels);

@@ -17,6 +17,37 @@ pub struct Selection {
     pub series: Option<u32>,
     /// Part of the volume.
     pub region: Option<Region>,
+    /// Axes of the volume that are mirrored.
+    pub flip: Flip,
+}
+
+/// The axes of the displayed volume along which it is mirrored, against what the file says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Flip(pub [bool; 3]);
+
+/// Prints the form that [`Flip::from_str`] reads; nothing if nothing is mirrored.
+impl fmt::Display for Flip {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = ["x", "y", "z"].into_iter().zip(self.0).filter(|(_, is_flipped)| *is_flipped);
+        f.write_str(&names.map(|(name, _)| name).collect::<Vec<_>>().join(","))
+    }
+}
+
+impl FromStr for Flip {
+    type Err = String;
+
+    /// Reads one axis or several, such as `y,z`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut flip = [false; 3];
+        for word in text.split(',') {
+            let axis = ["x", "y", "z"].iter().position(|name| name.eq_ignore_ascii_case(word.trim()));
+            match axis {
+                Some(axis) if !flip[axis] => flip[axis] = true,
+                _ => return Err("expected axes, each once, such as y or x,z".into()),
+            }
+        }
+        Ok(Self(flip))
+    }
 }
 
 /// A box of voxels along the axes of the displayed volume.
@@ -73,6 +104,16 @@ mod tests {
         let region = Region { min: [1, 0, 7], max: [Some(5), None, None] };
         assert_eq!("1:5,:,7:".parse(), Ok(region));
         assert_eq!(region.to_string().parse(), Ok(region));
+        for flip in ["x", "y,z", "x,y,z"] {
+            assert_eq!(flip.parse::<Flip>().map(|f| f.to_string()).as_deref(), Ok(flip));
+        }
+        assert_eq!(
+            (" Z , x".parse(), Flip::default().to_string()),
+            (Ok(Flip([true, false, true])), "".into())
+        );
+        for bad in ["", "w", "x,x", "x,", "xy", "x y"] {
+            assert!(bad.parse::<Flip>().is_err(), "{bad}");
+        }
         for bad in ["", "1:5", "1:5,:,:,:", "5:5,:,:", "5:1,:,:", ":0,:,:", "a:b,:,:", "1,2,3", "-1:2,:,:"] {
             assert!(bad.parse::<Region>().is_err(), "{bad}");
         }

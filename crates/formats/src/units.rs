@@ -17,6 +17,26 @@ pub(crate) fn length_unit(name: &str) -> Option<(f64, &'static str)> {
     })
 }
 
+/// A unit of time, as its length in seconds. Case does not matter.
+pub(crate) fn time_unit(name: &str) -> Option<f64> {
+    Some(match name.to_lowercase().as_str() {
+        "ns" | "nsec" | "nanosecond" | "nanoseconds" => 1e-9,
+        "us" | "\u{b5}s" | "\u{3bc}s" | "\u{fffd}s" | "\\u00b5s" | "usec" | "microsecond"
+        | "microseconds" => 1e-6,
+        "ms" | "msec" | "millisecond" | "milliseconds" => 1e-3,
+        "s" | "sec" | "secs" | "second" | "seconds" => 1.0,
+        "min" | "mins" | "minute" | "minutes" => 60.0,
+        "h" | "hr" | "hour" | "hours" => 3600.0,
+        "d" | "day" | "days" => 86_400.0,
+        _ => return None,
+    })
+}
+
+/// Seconds that make a step in time; files without one have zeros and worse.
+pub(crate) fn time_step(seconds: f64) -> Option<f64> {
+    (seconds.is_finite() && seconds > 0.0).then_some(seconds)
+}
+
 /// Whether values between these may be Hounsfield units: air is about −1000, and bone exceeds 300.
 pub(crate) fn may_be_hounsfield(lo: f32, hi: f32) -> bool {
     (-4096.0..=-500.0).contains(&lo) && hi >= 300.0

@@ -244,3 +244,43 @@ fn empty_files_among_slices_are_told() {
     let zipped = opened(&path);
     assert_eq!((values(&zipped), zipped.spacing()), (values(&volume), volume.spacing()));
 }
+
+/// The window is of values, after the rescale. The first of several counts, and that of the middle slice.
+#[test]
+fn the_window_of_a_series_is_that_of_its_middle_slice() {
+    const CENTER: (u16, u16) = (0x0028, 0x1050);
+    const WIDTH: (u16, u16) = (0x0028, 0x1051);
+    let place = |z: f64| {
+        vec![
+            decimals(POSITION, &[0.0, 0.0, z]),
+            decimals(ORIENTATION, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
+            decimals(SPACING, &[1.0, 1.0]),
+            decimals((0x0028, 0x1052), &[-10.0]),
+            decimals((0x0028, 0x1053), &[2.0]),
+        ]
+    };
+    let window = |center: &[f64], width: &[f64]| vec![decimals(CENTER, center), decimals(WIDTH, width)];
+    let of = |more: [Vec<Vec<u8>>; 3]| {
+        let slice = |(k, more): (usize, Vec<Vec<u8>>)| {
+            (["a", "b", "c"][k], file(PLAIN, [more, place(k as f64)].concat(), &[100 * k as u16]))
+        };
+        let files: Vec<_> = more.into_iter().enumerate().map(slice).collect();
+        opened(folder(&files).path()).info.window
+    };
+    let [low, middle, high] =
+        [window(&[10.0], &[4.0]), window(&[150.0, 40.0], &[200.0, 80.0]), window(&[900.0], &[2.0])];
+    assert_eq!(of([low.clone(), middle.clone(), high.clone()]), Some((50.0, 250.0)));
+    assert_eq!(of([vec![], vec![], vec![]]), None);
+    // A width of zero, half a window, and values that are inverted are no window.
+    assert_eq!(of([low.clone(), window(&[150.0], &[0.0]), high.clone()]), None);
+    assert_eq!(of([low.clone(), vec![decimals(CENTER, &[150.0])], high.clone()]), None);
+    let white = || vec![text((0x0028, 0x0004), "CS", "MONOCHROME1")];
+    let inverted = [low, [middle, white()].concat(), high].map(|more| [more, white()].concat());
+    assert_eq!(of(inverted), None);
+    // The frames of an enhanced file have it in a sequence.
+    let frame = |center: f64| vec![sequence((0x0028, 0x9132), &[window(&[center], &[20.0])])];
+    let frames: Vec<_> = [100.0, 200.0, 300.0].map(frame).to_vec();
+    let file = file(PLAIN, [place(0.0), vec![sequence((0x5200, 0x9230), &frames)]].concat(), &[1, 2, 3]);
+    let one = folder(&[("enhanced", file)]);
+    assert_eq!(opened(one.path()).info.window, Some((190.0, 210.0)));
+}

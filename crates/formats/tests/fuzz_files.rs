@@ -176,8 +176,13 @@ fn fuzz(archive: &str, duration: Duration, most: u64, seed: u64) -> (u64, u64) {
         }
         let target = folder.path().join(&seed.target);
         let mut part = |n: usize| (random.below(4) == 0).then(|| random.below(n) as u32);
-        let selection =
-            Selection { channel: part(3), time: part(3), level: part(3), series: part(2), region: None };
+        let selection = Selection {
+            channel: part(3),
+            time: part(3),
+            level: part(3),
+            series: part(2),
+            ..Selection::default()
+        };
         let options = OpenOptions { selection, max_bytes: MEMORY_LIMIT, ..OpenOptions::default() };
         let source = target.to_str().unwrap();
         let before = ALLOCATED.load(Relaxed);

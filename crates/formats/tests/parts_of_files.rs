@@ -237,3 +237,57 @@ fn the_estimate_is_of_the_part_and_comes_before_the_voxels() {
     fs::File::options().write(true).open(&path).unwrap().set_len(48_000_000_128).unwrap();
     assert_eq!(open(path.to_str().unwrap(), &options).unwrap().value_range(), (0.0, 0.0));
 }
+
+/// The time from one volume to the next, in the units of each format. Without a unit of time there is none.
+#[test]
+fn the_time_between_times_is_told() {
+    let folder = TempDir::new().unwrap();
+    let step_of = |path: &Path| outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap().time_step;
+    let path = nifti(folder.path());
+    let bytes = fs::read(&path).unwrap();
+    for (units, interval, expected) in [
+        (0, 2.5f32, Some(2.5)),
+        (2 + 8, 2.5, Some(2.5)),
+        (2 + 16, 250.0, Some(0.25)),
+        (24, 500_000.0, Some(0.5)),
+        // Hertz is no time, and zero no step.
+        (32, 2.5, None),
+        (8, 0.0, None),
+        (8, -1.0, None),
+        (8, f32::NAN, None),
+        (8, f32::INFINITY, None),
+    ] {
+        let mut bytes = bytes.clone();
+        bytes[123] = units;
+        bytes[92..96].copy_from_slice(&interval.to_le_bytes());
+        fs::write(&path, bytes).unwrap();
+        let near = |found: f64| expected.is_some_and(|e: f64| (found - e).abs() < 1e-9);
+        assert_eq!(step_of(&path).map(near), expected.map(|_| true), "{units} {interval}");
+    }
+    assert_eq!(step_of(&numpy(folder.path())), None);
+    let zarr = folder.path().join("a.zarr");
+    fs::create_dir_all(zarr.join("0")).unwrap();
+    fs::write(zarr.join(".zgroup"), r#"{"zarr_format": 2}"#).unwrap();
+    for (number, unit, expected) in [
+        (3, r#", "unit": "minute""#, Some(30.0)),
+        (3, r#", "unit": "second""#, Some(0.5)),
+        (3, "", None),
+        (3, r#", "unit": "fortnight""#, None),
+        // One time has no next one.
+        (1, r#", "unit": "second""#, None),
+    ] {
+        let array = format!(
+            r#"{{"zarr_format": 2, "shape": [{number}, 2, 2], "chunks": [1, 2, 2], "dtype": "|u1", "order": "C",
+                 "compressor": null, "filters": null, "fill_value": 0}}"#
+        );
+        fs::write(zarr.join("0/.zarray"), array).unwrap();
+        let image = format!(
+            r#"{{"multiscales": [{{"version": "0.4",
+                 "axes": [{{"name": "t", "type": "time"{unit}}}, {{"name": "y"}}, {{"name": "x"}}],
+                 "datasets": [{{"path": "0", "coordinateTransformations":
+                    [{{"type": "scale", "scale": [0.5, 1, 1]}}]}}]}}]}}"#
+        );
+        fs::write(zarr.join(".zattrs"), image).unwrap();
+        assert_eq!(step_of(&zarr), expected, "{number} {unit}");
+    }
+}

@@ -200,6 +200,28 @@ fn an_image_in_several_files_is_read_from_all_of_them() {
 }
 
 #[test]
+fn an_ome_image_tells_the_time_between_its_times() {
+    let folder = TempDir::new().unwrap();
+    for (times, attributes, seconds) in [
+        (2, "TimeIncrement=\"0.5\"", Some(0.5)),
+        (2, "TimeIncrement=\"2\" TimeIncrementUnit=\"min\"", Some(120.0)),
+        (2, "TimeIncrement=\"2\" TimeIncrementUnit=\"lightyear\"", None),
+        (2, "TimeIncrement=\"-1\"", None),
+        (2, "", None),
+        (1, "TimeIncrement=\"0.5\"", None),
+    ] {
+        let text = format!(
+            "<?xml version=\"1.0\"?><OME><Image Name=\"a\"><Pixels DimensionOrder=\"XYZCT\" SizeX=\"3\" SizeY=\"2\" \
+             SizeZ=\"1\" SizeC=\"1\" SizeT=\"{times}\" {attributes}/></Image></OME>"
+        );
+        let mut all = pages([3, 2], times, 0);
+        all[0].description = Some(text);
+        let found = outline_of(&write(folder.path(), "a.ome.tif", &all)).time_step;
+        assert_eq!(found, seconds, "{attributes}");
+    }
+}
+
+#[test]
 fn files_that_are_missing_are_told_of() {
     let folder = TempDir::new().unwrap();
     three_files(folder.path(), |_| ome(NAMES));
@@ -386,6 +408,16 @@ fn stacks_of_imagej_have_their_order_and_steps() {
         let volume = part(&path, 1, 1);
         assert_eq!(values(&volume), [numbers(42..48), numbers(60..66)].concat());
         assert_eq!((volume.spacing(), volume.info.unit.as_deref()), (Vec3::new(0.25, 0.5, 1.5), Some("µm")));
+    }
+    for (lines, seconds) in [
+        ("finterval=90.0\ntunit=sec\nfps=7.0\n", Some(90.0)),
+        ("finterval=250\ntunit=ms\n", Some(0.25)),
+        ("finterval=0\nfps=5.0\n", Some(0.2)),
+        ("finterval=1.5\ntunit=frame\n", None),
+        ("", None),
+    ] {
+        all[0].description = Some(format!("{text}{lines}"));
+        assert_eq!(outline_of(&write(folder.path(), "t.tif", &all)).time_step, seconds, "{lines}");
     }
     one.more = vec![(259, 32_773)];
     let text = message(&write(folder.path(), "c.tif", &[one]), Selection::default());

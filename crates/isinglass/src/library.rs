@@ -4,12 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
+use isinglass_core::channels::Channels;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::{Choices, Part};
 use isinglass_formats::{
-    FormatError, LoadRequest, OpenOptions, Outline, Region, Selection, default_transfer, load_transfer, open,
-    outline,
+    Flip, FormatError, LoadRequest, OpenOptions, Outline, Region, Selection, default_channels,
+    default_transfer, load_transfer, open, outline,
 };
 use isinglass_server::{Library, Loaded, Loader, Survey};
 
@@ -25,6 +26,7 @@ pub(crate) struct FileLoader {
 pub(crate) struct OpenedFile {
     pub(crate) volume: Arc<Volume>,
     pub(crate) transfer: TransferFunction,
+    pub(crate) channels: Channels,
     pub(crate) library: Library,
 }
 
@@ -38,8 +40,12 @@ impl FileLoader {
 
     /// The header of a part, if there is room for it beside the `held` bytes.
     pub(crate) fn outline(&self, selection: Selection, held: u64) -> Result<Outline, String> {
-        let options =
-            OpenOptions { max_bytes: self.request.max_bytes.saturating_sub(held), ..self.options(selection) };
+        // What is held changes the level that is chosen, but never whether channels are shown together.
+        let max_bytes = match selection.level {
+            Some(_) => self.request.max_bytes,
+            None => self.request.max_bytes.saturating_sub(held),
+        };
+        let options = OpenOptions { max_bytes, ..self.options(selection) };
         let found = match outline(&self.request.source, &options) {
             // The error must tell everything that it needs, not only the needs of reading.
             Err(FormatError::TooLarge { .. }) => {
@@ -55,8 +61,10 @@ impl FileLoader {
     /// A server's library that first shows `volume`, of this outline.
     pub(crate) fn opened(self, volume: Arc<Volume>, outline: &Outline) -> Result<OpenedFile> {
         let transfer = self.transfer_of(&volume);
-        let parts = parts_of(outline);
-        Ok(OpenedFile { volume, transfer, library: Library { parts, loader: Arc::new(self) } })
+        let (parts, channels) = (parts_of(outline), default_channels(&volume));
+        let volume_memory = self.request.max_bytes;
+        let library = Library { parts, loader: Arc::new(self), volume_memory };
+        Ok(OpenedFile { volume, transfer, channels, library })
     }
 
     fn transfer_of(&self, volume: &Volume) -> TransferFunction {
@@ -83,7 +91,8 @@ impl Loader for FileLoader {
         };
         let volume = open(&self.request.source, &options).map_err(|e| e.to_string())?;
         let transfer = self.transfer_of(&volume);
-        Ok(Loaded { volume, transfer })
+        let channels = default_channels(&volume);
+        Ok(Loaded { volume, transfer, channels })
     }
 }
 
@@ -97,6 +106,7 @@ fn parts_of(outline: &Outline) -> Choices {
         joins_channels: outline.joins_channels,
         channels: outline.channels.clone(),
         num_times: count(outline.num_times),
+        time_step: outline.time_step.map(|seconds| seconds as f32).filter(|s| s.is_finite() && *s > 0.0),
         levels: outline.levels.iter().map(|level| level.dims).collect(),
         num_series: count(outline.series.len() as u64),
         series: outline.series.clone(),
@@ -105,18 +115,18 @@ fn parts_of(outline: &Outline) -> Choices {
 }
 
 fn part_of(selection: &Selection) -> Part {
-    let &Selection { channel, time, level, series, region } = selection;
+    let &Selection { channel, time, level, series, region, flip } = selection;
     let ends = |r: Region| std::array::from_fn(|i| [r.min[i], r.max[i].unwrap_or(u32::MAX)]);
-    Part { channel, time, level, series, region: region.map(ends) }
+    Part { channel, time, level, series, region: region.map(ends), flip: flip.0 }
 }
 
 fn selection_of(part: &Part) -> Selection {
-    let &Part { channel, time, level, series, region } = part;
+    let &Part { channel, time, level, series, region, flip } = part;
     let region = region.map(|r| Region {
         min: r.map(|[from, _]| from),
         max: r.map(|[_, to]| (to != u32::MAX).then_some(to)),
     });
-    Selection { channel, time, level, series, region }
+    Selection { channel, time, level, series, region, flip: Flip(flip) }
 }
 
 #[cfg(test)]
@@ -127,8 +137,9 @@ mod tests {
     fn a_selection_survives_the_wire() {
         for region in [None, Some(":,5:,1:7")] {
             let region = region.map(|r| r.parse().unwrap());
+            let flip = Flip([false, region.is_some(), true]);
             let selection =
-                Selection { channel: Some(3), time: None, level: Some(0), series: Some(9), region };
+                Selection { channel: Some(3), time: None, level: Some(0), series: Some(9), region, flip };
             assert_eq!(selection_of(&part_of(&selection)), selection);
         }
     }

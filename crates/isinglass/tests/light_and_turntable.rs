@@ -118,8 +118,78 @@ fn a_turntable_is_so_many_pictures_and_each_is_that_of_render() {
     assert!(!bench.path("along/0003.png").exists());
     let both = "render builtin:cubus@32 --turntable 2 --path path.txt -o both";
     bench.fails(&format!("{both} {RENDER}"), 2, &["--turntable and --path"]);
-    bench.fails(&format!("render builtin:cubus@32 -o one.gif {RENDER}"), 2, &["PNG files"]);
+    bench.fails(&format!("{turntable} -o one.webm {RENDER}"), 2, &["GIF or APNG", ".webm"]);
     // A folder is no file, and one picture is no turntable.
     bench.fails(&format!("render builtin:cubus@32 -o turn {RENDER}"), 2, &["found a folder"]);
     bench.fails(&format!("render builtin:cubus@32 --turntable 1 -o turn {RENDER}"), 2, &["turntable"]);
+}
+
+/// A NIfTI file of five times, each a brighter bar farther to the right.
+fn film() -> Vec<u8> {
+    let mut header = vec![0; 352];
+    let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, &348i32.to_le_bytes());
+    for (i, dim) in [4i16, 10, 10, 10, 5, 1, 1, 1].iter().enumerate() {
+        put(40 + 2 * i, &dim.to_le_bytes());
+    }
+    put(70, &2i16.to_le_bytes());
+    for i in 0..4 {
+        put(76 + 4 * i, &1f32.to_le_bytes());
+    }
+    put(92, &500f32.to_le_bytes());
+    put(108, &352f32.to_le_bytes());
+    put(123, &[2 + 16]);
+    put(344, b"n+1\0");
+    let voxels = (0..5000).map(|i| if i % 10 == 2 * (i / 1000) { 50 * (1 + i / 1000) as u8 } else { 0 });
+    header.into_iter().chain(voxels).collect()
+}
+
+#[test]
+fn times_are_pictures_and_a_movie_under_the_look_of_the_first() {
+    let bench = Bench::new();
+    bench.write("film.nii", film());
+    let info = bench.json("info film.nii --json");
+    assert_eq!((info["num_times"].as_u64(), info["time_step"].as_f64()), (Some(5), Some(0.5)), "{info}");
+    let error = |a: &str, b: &str| {
+        bench.json(&format!("compare {a} {b} --json"))["max_abs_255"].as_u64().unwrap_or_default()
+    };
+    let told = bench.json(&format!("render film.nii --times 1:5:2 -o some --json {RENDER}"));
+    assert_eq!((told["pictures"].as_u64(), &told["times"]), (Some(2), &serde_json::json!([1, 3])));
+    assert!(!bench.path("some/0000.png").exists() && !bench.path("some/0002.png").exists());
+    bench.ok(&format!("render film.nii --time 1 -o one.png {RENDER}"));
+    bench.ok(&format!("render film.nii --time 3 -o three.png {RENDER}"));
+    assert_eq!(error("some/0001.png", "one.png"), 0);
+    // Alone, the time has a look of its own values: it is as bright as any.
+    assert!(error("some/0003.png", "three.png") > 8);
+    bench.ok(&format!("render film.nii --times : -o all-##.png {RENDER}"));
+    assert!((0..5).all(|i| bench.path(&format!("all-0{i}.png")).exists()));
+    assert!(error("all-01.png", "all-03.png") > 8, "negative control");
+    // A movie is of all times by itself, and at their speed.
+    bench.ok(&format!("render film.nii -o film.apng {RENDER}"));
+    assert_eq!(error("film.apng", "all-00.png"), 0);
+    bench.ok(&format!("render film.nii --movie film.gif {RENDER}"));
+    let gif = std::fs::read(bench.path("film.gif")).unwrap();
+    let delay = |hundredths: u8| [0x21, 0xf9, 4, 4, hundredths, 0];
+    let count = |hundredths| {
+        gif.windows(6).filter(|w| w[..3] == [0x21, 0xf9, 4] && w[4..] == delay(hundredths)[4..]).count()
+    };
+    assert_eq!((count(50), count(4)), (5, 0));
+    // Of one time it is a turn.
+    bench.ok("render builtin:cubus@16 --orbit 10,15 -o turn.apng --backend cpu --size 16x16");
+    let turn = std::fs::read(bench.path("turn.apng")).unwrap();
+    let animation = turn.windows(8).find(|w| w[..4] == *b"acTL").unwrap();
+    assert_eq!(u32::from_be_bytes(animation[4..].try_into().unwrap()), 100);
+    for (range, words) in [
+        ("0:6", "found 0:6, expected a part of 0:5"),
+        ("5:", "found 5:5, expected a part of 0:5"),
+        ("3:3", "is empty"),
+        ("3", "A:B:STEP"),
+        ("0:5:0", "is empty"),
+        ("a:b", "A:B:STEP"),
+    ] {
+        let code = if words.starts_with("found") { 1 } else { 2 };
+        bench.fails(&format!("render film.nii --times {range} -o bad {RENDER}"), code, &["--times", words]);
+    }
+    let both = "render film.nii --times : --turntable 3 -o both";
+    bench.fails(&format!("{both} {RENDER}"), 2, &["--turntable and --times"]);
 }

@@ -24,6 +24,11 @@ impl FrameMemory {
         Self { limit, used: Arc::default() }
     }
 
+    /// All bytes, free or not.
+    pub(crate) fn limit(&self) -> u64 {
+        self.limit
+    }
+
     /// Bytes that are free.
     pub(crate) fn room(&self) -> u64 {
         self.limit.saturating_sub(self.used.load(Ordering::Relaxed))

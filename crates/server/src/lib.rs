@@ -6,6 +6,7 @@
 //! that the coder and the network are free when it is done. None is made for a pose that has been answered. At rest
 //! the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
+mod ahead;
 mod audience;
 mod company;
 mod counters;
@@ -34,6 +35,7 @@ use isinglass_render::Backend;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
+use ahead::ReadAhead;
 use audience::Audience;
 use frame_memory::FrameMemory;
 use generator::Generator;
@@ -56,7 +58,8 @@ pub struct ServeOptions {
     pub plan: CodingPlan,
     /// Most viewers at the same time.
     pub max_viewers: u32,
-    /// Most memory of all viewers' frames together, bytes. Frames that would exceed it are made smaller.
+    /// Most memory of all viewers' frames together, bytes. Frames that would exceed it are made smaller. Up to a
+    /// quarter of it is for times that are read ahead, if the memory for volumes has no room for them.
     pub frame_memory: u64,
     /// The volume's file, for viewers to choose parts of; `None` if they cannot.
     pub library: Option<Library>,
@@ -80,6 +83,8 @@ pub struct Library {
     pub parts: Choices,
     /// Opens parts of it.
     pub loader: Arc<dyn Loader>,
+    /// Most memory of all volumes, bytes: the shown one, one that is read, and those that are read ahead.
+    pub volume_memory: u64,
 }
 
 /// Why there is no server.
@@ -143,7 +148,9 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
     let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
         options;
     let Timing { clock, after_work } = timing;
-    let scene = Scene::new(volume, &look.transfer, look.march_settings());
+    let scene = Scene::of_look(volume, &look);
+    let memory = FrameMemory::new(frame_memory);
+    let ahead = ReadAhead::new(library.as_ref().map_or(0, |l| l.volume_memory), &memory);
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
     let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts));
     let options = isinglass_net::ServerOptions { max_viewers, clock };
@@ -166,10 +173,11 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
         orders: orders_out,
         present: present_in,
         load: load_in,
+        ahead,
+        reading: None,
     };
     let coders = pipeline::coders()?;
     let slice_makers = Arc::new(slices::SliceMakers::new()?);
-    let memory = FrameMemory::new(frame_memory);
     let common = serving::Common {
         generator,
         present,

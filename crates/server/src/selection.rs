@@ -1,8 +1,10 @@
-//! Other parts of the file: it reads the newest request beside the shown part, and then replaces that.
+//! Other parts of the file: it reads the newest request beside the shown part, and then replaces that. While a viewer
+//! plays times, the next ones are read before it requests them.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU16, AtomicU64, Ordering};
 
+use isinglass_core::channels::Channels;
 use isinglass_core::ids::{LoadId, LookVersion};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
@@ -16,7 +18,9 @@ use isinglass_core::wire::{Choices, LoadState, Part, VolumeDescription};
 use isinglass_net::Greeting;
 use isinglass_render::{Backend, Renderer};
 use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
 
+use crate::ahead::{Read, ReadAhead};
 use crate::generator::{Generator, renderer_of};
 use crate::lights::Lights;
 
@@ -53,6 +57,8 @@ pub struct Loaded {
     pub volume: Volume,
     /// The transfer function that suits the voxels; must be valid.
     pub transfer: TransferFunction,
+    /// The looks of its channels; must be valid.
+    pub channels: Channels,
 }
 
 #[derive(Debug)]
@@ -77,7 +83,7 @@ impl Present {
     pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Choices>) -> Self {
         let lights = Lights::new(scene, &look);
         let greeting = Greeting {
-            volume: VolumeDescription::of(&scene.volume, &scene.histogram),
+            volume: VolumeDescription::of_channels(scene.whole(), scene.histograms()),
             look_version: LookVersion(1),
             look,
         };
@@ -87,8 +93,14 @@ impl Present {
             lights,
             scene: number,
             parts: parts.map(Choices::bounded),
-            bytes: scene.volume.bytes_in_memory(),
+            bytes: scene.whole().bytes_in_memory(),
         }
+    }
+
+    /// The part as it can be shown again, if viewers can choose parts.
+    fn again(&self) -> Option<Read> {
+        let (scene, look) = (self.lights.first_scene().clone(), self.greeting.look.clone());
+        Some(Read { scene, look, parts: self.parts.clone()? })
     }
 
     /// Whether values mean the same in both, as they do across times, levels and regions.
@@ -98,7 +110,7 @@ impl Present {
     }
 }
 
-/// Reads requested parts, the newest first, until nobody can request any.
+/// Reads requested parts, the newest first, until nobody can request any. Meanwhile it reads ahead.
 pub(crate) struct SelectionReader {
     pub(crate) loader: Option<Arc<dyn Loader>>,
     pub(crate) backend: Backend,
@@ -106,6 +118,9 @@ pub(crate) struct SelectionReader {
     pub(crate) orders: mpsc::Receiver<Order>,
     pub(crate) present: watch::Sender<Arc<Present>>,
     pub(crate) load: watch::Sender<Option<Load>>,
+    pub(crate) ahead: ReadAhead,
+    /// What is being read ahead.
+    pub(crate) reading: Option<Reading>,
 }
 
 /// How a load ended.
@@ -116,34 +131,65 @@ enum Ended {
     Interrupted(Option<Order>),
 }
 
+/// Why a part was not read.
+enum NotRead {
+    /// There is no room beside what is known.
+    NoRoom(String),
+    Failed(String),
+}
+
+/// A part that is being read on another thread.
+pub(crate) struct Reading {
+    part: Part,
+    work: JoinHandle<Result<Read, NotRead>>,
+    cancel: CancelOnDrop,
+    progress: Arc<Progress>,
+}
+
+/// How far a reading is. Viewers are told of it once one of them waits for the part.
+#[derive(Default)]
+struct Progress {
+    is_told: AtomicBool,
+    bytes_needed: AtomicU64,
+    permille: AtomicU16,
+}
+
+impl Progress {
+    fn tell(&self, load: &mut Load) {
+        load.bytes_needed = self.bytes_needed.load(Ordering::Relaxed);
+        load.state = LoadState::Reading { permille: self.permille.load(Ordering::Relaxed) };
+    }
+}
+
 impl SelectionReader {
     pub(crate) async fn run(mut self) {
-        let mut next = self.orders.recv().await;
+        let mut next = None;
         let mut id = LoadId(0);
-        while let Some(mut order) = next {
+        loop {
+            let order = match next.take() {
+                Some(order) => Some(order),
+                None => self.read_ahead().await,
+            };
+            let Some(mut order) = order else { return };
             while let Ok(newer) = self.orders.try_recv() {
                 order = newer;
             }
-            let (viewer, Some(part)) = order else {
-                next = self.orders.recv().await;
-                continue;
-            };
+            let (viewer, Some(part)) = order else { continue };
             id = id.next();
             let state = LoadState::Reading { permille: 0 };
             self.load.send_replace(Some(Load { id, viewer, part, bytes_needed: 0, state }));
             let ended = self.open(part).await;
-            let (state, order) = match ended {
-                Ended::Done => (LoadState::Done, None),
-                Ended::Failed(problem) => (LoadState::Failed(one_line(&problem)), None),
+            let state = match ended {
+                Ended::Done => LoadState::Done,
+                Ended::Failed(problem) => LoadState::Failed(one_line(&problem)),
                 Ended::Interrupted(None) => return,
-                Ended::Interrupted(order) => (LoadState::Cancelled, order),
+                Ended::Interrupted(order) => {
+                    next = order;
+                    LoadState::Cancelled
+                }
             };
             tracing::info!(load = id.0, ?state, "another part");
             self.tell(|load| load.state = state);
-            next = match order {
-                Some(order) => Some(order),
-                None => self.orders.recv().await,
-            };
         }
     }
 
@@ -155,79 +201,189 @@ impl SelectionReader {
         });
     }
 
+    /// The next order. Until it arrives, what a viewer that plays will request is read. `None` if nobody is left.
+    async fn read_ahead(&mut self) -> Option<Order> {
+        loop {
+            let present = self.present.borrow().clone();
+            let now = present.parts.clone().unwrap_or_default();
+            let next = self.ahead.next(&now);
+            let reading = self.reading.take();
+            let mut reading = match (reading, next) {
+                (Some(reading), Some(part)) if reading.part == part => reading,
+                (Some(reading), _) => {
+                    if let Some(order) = self.stop(reading).await {
+                        return order;
+                    }
+                    continue;
+                }
+                (None, Some(part)) => match self.begin(part, Some(self.ahead.limit(present.bytes))) {
+                    Some(reading) => reading,
+                    None => return self.orders.recv().await,
+                },
+                (None, None) => return self.orders.recv().await,
+            };
+            tokio::select! {
+                biased;
+                order = self.orders.recv() => {
+                    self.reading = Some(reading);
+                    return order;
+                }
+                read = &mut reading.work => match read {
+                    Ok(Ok(read)) => self.ahead.add(read, &now, present.bytes),
+                    Ok(Err(NotRead::NoRoom(_))) => self.ahead.make_room(&reading.part, &now, present.bytes),
+                    // Who requests the part is told why.
+                    Ok(Err(NotRead::Failed(_))) | Err(_) => self.ahead.rest(),
+                },
+            }
+        }
+    }
+
     /// Reads a part and shows it, unless another order arrives first.
     async fn open(&mut self, part: Part) -> Ended {
-        let Some(loader) = self.loader.clone() else {
+        if self.loader.is_none() {
             return Ended::Failed("this server shows this part of its file only".into());
-        };
+        }
         if self.backend.is_lost() {
             let lost = self.backend.clone();
             if let Ok(backend) = tokio::task::spawn_blocking(move || lost.reopened()).await {
                 self.backend = backend;
             }
         }
-        let held = self.present.borrow().bytes;
+        match self.ahead.take(&part) {
+            Some(read) => self.show(read).await,
+            None => match self.read(part).await {
+                Ok(read) => self.show(read).await,
+                Err(ended) => ended,
+            },
+        }
+    }
+
+    /// Reads a part, unless another order arrives first.
+    async fn read(&mut self, part: Part) -> Result<Read, Ended> {
+        let mut reading = match self.reading.take() {
+            Some(reading) if reading.part == part => {
+                // From now on somebody waits for it.
+                reading.progress.is_told.store(true, Ordering::Relaxed);
+                self.tell(|load| reading.progress.tell(load));
+                Some(reading)
+            }
+            Some(reading) => {
+                if let Some(order) = self.stop(reading).await {
+                    return Err(Ended::Interrupted(order));
+                }
+                None
+            }
+            None => None,
+        };
+        let failed = |problem: &str| Ended::Failed(problem.into());
+        loop {
+            let begun = reading.take().or_else(|| self.begin(part, None));
+            let Some(mut reading) = begun else { return Err(failed("there is no file to read")) };
+            let read = tokio::select! {
+                read = &mut reading.work => read,
+                order = self.orders.recv() => {
+                    let later = self.stop(reading).await;
+                    return Err(Ended::Interrupted(later.unwrap_or(order)));
+                }
+            };
+            match read {
+                Ok(Ok(read)) => return Ok(read),
+                // What was read ahead goes first.
+                Ok(Err(NotRead::NoRoom(_))) if self.ahead.bytes() > 0 => self.ahead.clear(),
+                Ok(Err(NotRead::NoRoom(problem) | NotRead::Failed(problem))) => {
+                    return Err(failed(&problem));
+                }
+                Err(e) => {
+                    tracing::error!("reading ended early: {e}");
+                    return Err(failed("the server failed on reading this part"));
+                }
+            }
+        }
+    }
+
+    /// Begins to read a part. With a limit it is read ahead, within so many bytes of all that is known; nobody is told
+    /// of it.
+    fn begin(&self, part: Part, limit: Option<u64>) -> Option<Reading> {
+        let loader = self.loader.clone()?;
         let look = self.present.borrow().greeting.look.clone();
+        let known = self.ahead.bytes();
+        let held = self.present.borrow().bytes.saturating_add(known);
         let cancel = CancelOnDrop::default();
-        let (backend, load, cancelled) = (self.backend.clone(), self.load.clone(), cancel.0.clone());
-        let mut reading = tokio::task::spawn_blocking(move || {
-            let survey = loader.survey(&part, held)?;
-            let tell = |change: &dyn Fn(&mut Load)| {
+        let progress =
+            Arc::new(Progress { is_told: AtomicBool::new(limit.is_none()), ..Progress::default() });
+        let (load, cancelled, told) = (self.load.clone(), cancel.0.clone(), progress.clone());
+        let work = tokio::task::spawn_blocking(move || {
+            let survey = loader.survey(&part, held).map_err(NotRead::NoRoom)?;
+            if limit.is_some_and(|limit| known.saturating_add(survey.bytes_needed) > limit) {
+                return Err(NotRead::NoRoom("more than is read ahead".into()));
+            }
+            let tell = || {
                 load.send_if_modified(|load| {
-                    // A newer load has replaced this one.
-                    let Some(load) = load.as_mut().filter(|_| !cancelled.load(Ordering::Relaxed)) else {
-                        return false;
-                    };
+                    // A newer load has replaced this one, or nobody waits for it.
+                    let is_wanted =
+                        told.is_told.load(Ordering::Relaxed) && !cancelled.load(Ordering::Relaxed);
+                    let Some(load) = load.as_mut().filter(|_| is_wanted) else { return false };
                     let before = (load.bytes_needed, load.state.clone());
-                    change(load);
+                    told.tell(load);
                     before != (load.bytes_needed, load.state.clone())
                 });
             };
-            tell(&|load| load.bytes_needed = survey.bytes_needed);
+            told.bytes_needed.store(survey.bytes_needed, Ordering::Relaxed);
+            tell();
             let progress = |fraction: f32| {
                 // Steps of a hundredth are fine enough for the eye.
                 let permille = (fraction.clamp(0.0, 1.0) * 100.0) as u16 * 10;
-                tell(&|load| load.state = LoadState::Reading { permille });
+                told.permille.store(permille, Ordering::Relaxed);
+                tell();
             };
-            let loaded = loader.load(&survey.parts.shown, &progress, &cancelled)?;
+            let loaded = loader.load(&survey.parts.shown, &progress, &cancelled).map_err(NotRead::Failed)?;
             if cancelled.load(Ordering::Relaxed) {
-                return Err("cancelled".into());
+                return Err(NotRead::Failed("cancelled".into()));
             }
-            let look = Look { transfer: loaded.transfer, ..look };
-            let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, look.march_settings());
-            let renderer = renderer_of(&backend, scene.clone()).map_err(|e| e.to_string())?;
-            Ok::<_, String>((scene, renderer, look, survey.parts))
+            let Loaded { volume, transfer, channels } = loaded;
+            let look = Look { transfer, channels, ..look };
+            let scene = Scene::of_look(Arc::new(volume), &look);
+            Ok(Read { scene, look, parts: survey.parts })
         });
-        let read = tokio::select! {
-            read = &mut reading => read,
-            order = self.orders.recv() => {
-                drop(cancel);
-                // Reading two at a time would need memory for both. Of later orders only the newest counts.
-                let mut newest = order;
-                loop {
-                    tokio::select! {
-                        _ = &mut reading => return Ended::Interrupted(newest),
-                        order = self.orders.recv(), if newest.is_some() => newest = order,
-                    }
-                }
+        Some(Reading { part, work, cancel, progress })
+    }
+
+    /// Cancels a reading and waits for its end: two at a time would need memory for both. Returns the newest order
+    /// that has arrived meanwhile, if any.
+    async fn stop(&mut self, reading: Reading) -> Option<Option<Order>> {
+        let Reading { mut work, cancel, .. } = reading;
+        drop(cancel);
+        let mut newest = None;
+        loop {
+            tokio::select! {
+                _ = &mut work => return newest,
+                order = self.orders.recv(), if newest != Some(None) => newest = Some(order),
             }
-        };
-        let (scene, renderer, look, parts) = match read {
-            Ok(Ok(read)) => read,
-            Ok(Err(problem)) => return Ended::Failed(problem),
+        }
+    }
+
+    /// Shows a part that was read.
+    async fn show(&mut self, read: Read) -> Ended {
+        let Read { scene, look, parts } = read;
+        let (backend, of) = (self.backend.clone(), scene.clone());
+        let renderer = match tokio::task::spawn_blocking(move || renderer_of(&backend, of)).await {
+            Ok(Ok(renderer)) => renderer,
+            Ok(Err(problem)) => return Ended::Failed(problem.to_string()),
             Err(e) => {
-                tracing::error!("reading ended early: {e}");
-                return Ended::Failed("the server failed on reading this part".into());
+                tracing::error!("no renderer: {e}");
+                return Ended::Failed("the server failed on showing this part".into());
             }
         };
-        let number = SceneNumber(self.present.borrow().scene.0.wrapping_add(1));
-        let present = Present::new(&scene, number, look.clone(), Some(parts));
-        let lights = present.lights.clone();
+        let before = self.present.borrow().clone();
+        let number = SceneNumber(before.scene.0.wrapping_add(1));
+        let present = Present::new(&scene, number, look.clone(), Some(parts.clone()));
+        let (lights, bytes) = (present.lights.clone(), present.bytes);
         let has_failed = matches!((&self.backend, &renderer), (Backend::Gpu(_), Renderer::Cpu(_)));
         if !self.generator.replace(renderer, look.clone(), number, lights.clone()).await {
             return Ended::Failed("the renderer has ended".into());
         }
         self.present.send_replace(Arc::new(present));
+        self.ahead.follow(before.again(), &parts, bytes);
         if has_failed {
             // The previous part's memory is free now.
             let backend = self.backend.clone();

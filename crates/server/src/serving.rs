@@ -306,7 +306,11 @@ impl Viewer {
         self.forget_sent();
         self.occlusion = None;
         self.tell_parts();
-        self.tell_oddities();
+        // The times of a film share theirs.
+        let warnings = |present: &Present| present.lights.volume().info.warnings.clone();
+        if before.is_none_or(|before| warnings(before) != warnings(&self.present)) {
+            self.tell_oddities();
+        }
     }
 
     /// Tells the user about oddities of the volume.

@@ -46,7 +46,13 @@ fn selection(part: &Part) -> Selection {
 
 fn parts(time: u32) -> Choices {
     Choices {
-        shown: Part { channel: Some(0), time: Some(time), level: Some(0), series: Some(0), region: None },
+        shown: Part {
+            channel: Some(0),
+            time: Some(time),
+            level: Some(0),
+            series: Some(0),
+            ..Part::default()
+        },
         whole_dims: [SIDE as u64; 3],
         num_channels: 1,
         num_times: 2,
@@ -72,7 +78,7 @@ impl Loader for Film {
             ..OpenOptions::default()
         };
         let volume = open(&self.source, &options).map_err(|e| e.to_string())?;
-        Ok(Loaded { volume, transfer: look().transfer })
+        Ok(Loaded { volume, transfer: look().transfer, channels: Default::default() })
     }
 }
 
@@ -139,7 +145,11 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
                     plan: CodingPlan::default(),
                     max_viewers: 1,
                     frame_memory: 1 << 30,
-                    library: Some(Library { parts: parts(0), loader: Arc::new(film) }),
+                    library: Some(Library {
+                        parts: parts(0),
+                        loader: Arc::new(film),
+                        volume_memory: 1 << 30,
+                    }),
                     timing: Timing::default(),
                 };
                 let (started, link) = runtime.block_on(async {

@@ -74,14 +74,11 @@ impl<S: FrameSource> ViewerApp<S> {
                 }
                 Action::Start => self.wish = Some(AppWish::StartPage),
                 Action::StepTime(by) => {
-                    let source = self.viewing.source();
-                    let (parts, load) = {
-                        let talk = source.talk();
-                        (talk.selection.choices(), talk.selection.load())
-                    };
+                    let (parts, load) = self.parts_and_load();
                     let wish = parts.and_then(|parts| self.parts_bar.step(&parts, load.as_ref(), by));
                     self.do_part(now, wish);
                 }
+                Action::Play => self.toggle_play(now),
                 Action::SaveState => self.do_state(ctx, now, StateWish::Save),
                 Action::OpenFile if self.opens_volumes => self.wish = Some(AppWish::ChooseFile),
                 Action::OpenFile => self.open_dialog.open(ctx),

@@ -53,6 +53,7 @@ impl<S: FrameSource> ViewerApp<S> {
             opens_volumes: self.opens_volumes,
             axes: self.orientation(),
             up: self.up_axis,
+            flip: self.viewing.source().talk().selection.choices().map(|choices| choices.shown.flip),
             named_views: self.named_views.iter().map(|view| &view.name[..]).collect(),
         }
     }
@@ -63,6 +64,7 @@ impl<S: FrameSource> ViewerApp<S> {
             Some(ToolbarWish::Show(mode)) => self.chosen_mode = Some(mode),
             Some(ToolbarWish::MovieOfPath) => self.screenshots.open_for_path(),
             Some(ToolbarWish::TurnUp(axis)) => self.turn_up(now, axis),
+            Some(ToolbarWish::Mirror(flip)) => self.mirror(now, flip),
             Some(ToolbarWish::View(wish)) => self.do_named_view(now, wish),
             None => {}
         }

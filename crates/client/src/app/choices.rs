@@ -158,10 +158,15 @@ impl<S: FrameSource> ViewerApp<S> {
         if time > LONGEST_FRAME && self.keeper.chosen.light.is_none() {
             return;
         }
-        let Some(look) = self.viewing.look().filter(|look| look.lighting == Lighting::default()) else {
+        let Some(welcome) = self.viewing.source().description() else { return };
+        let letters = welcome.volume.orientation.as_deref();
+        let first = Lighting::default().upright(letters);
+        let Some(look) =
+            self.viewing.look().filter(|look| [first, Lighting::default()].contains(&look.lighting))
+        else {
             return;
         };
-        let lighting = self.keeper.chosen.light.unwrap_or_else(usual_lighting);
+        let lighting = self.keeper.chosen.light.unwrap_or_else(|| usual_lighting().upright(letters));
         if lighting != look.lighting {
             self.viewing.set_look(now, Look { lighting, ..(*look).clone() });
         }

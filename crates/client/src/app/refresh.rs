@@ -147,7 +147,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         let has_frame = refresh.as_ref().is_some_and(|r| r.frame.is_some());
         self.keep_choices(&ctx, now, has_frame);
-        self.show_parts(&ctx, now);
+        self.show_parts(&ctx, now, refresh.as_ref());
         self.show_screenshots(&ctx, now, refresh.as_ref());
         self.show_recording(&ctx, now);
         self.show_open_dialog(&ctx);

@@ -1,10 +1,11 @@
 //! Places the panels that ask for something: look, parts of the file, screenshots and the probe.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::look::Look;
-use isinglass_core::wire::VolumeDescription;
+use isinglass_core::wire::{Choices, LoadStatus, Part, VolumeDescription};
 use isinglass_net::State;
 
 use super::side_panel::{self, LookSettings};
@@ -34,7 +35,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let description = self.viewing.source().description()?;
         let volume = &description.volume;
         let legend = self.viewing.look().zip(self.value_scale()).map(|(look, scale)| LegendSubject {
-            range: scale.domain(&look.transfer.domain),
+            range: scale.domain(&look.chosen_transfer().domain),
             unit: volume.value_unit.clone(),
             look,
         });
@@ -120,7 +121,7 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn show_look_panel(&mut self, ui: &mut egui::Ui, now: Duration) {
         let ctx = &ui.ctx().clone();
         let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
-        self.editor.follow(&look.transfer, &scale);
+        self.editor.follow(look.chosen_transfer(), &scale);
         let Some((bounds, forward)) = self.controls.as_ref().map(|(b, c)| (*b, c.pose().forward())) else {
             return;
         };
@@ -166,7 +167,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         let edit = self.editor.take_edit(ctx);
         if let Some(transfer) = edit.transfer {
-            wanted.transfer = transfer;
+            *wanted.transfer_of_mut(look.channels.chosen) = transfer;
         }
         wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
         if wanted.lighting != look.lighting {
@@ -199,7 +200,8 @@ impl<S: FrameSource> ViewerApp<S> {
             return;
         }
         let is_dragging = ctx.input(|i| i.pointer.any_down());
-        let is_free = !self.screenshots.is_busy() && !self.was_active && !is_dragging;
+        let is_still = !self.was_active && !is_dragging && !self.parts_bar.is_playing();
+        let is_free = is_still && !self.screenshots.is_busy();
         if let Some((_, controls)) = self.controls.as_ref().filter(|_| is_free)
             && self.viewing.source().state() == State::Connected
         {
@@ -231,18 +233,55 @@ impl<S: FrameSource> ViewerApp<S> {
         ctx.request_repaint();
     }
 
-    pub(super) fn show_parts(&mut self, ctx: &egui::Context, now: Duration) {
-        let source = self.viewing.source();
-        let (parts, load) = {
-            let talk = source.talk();
-            (talk.selection.choices(), talk.selection.load())
-        };
+    pub(super) fn toggle_play(&mut self, now: Duration) {
+        let (parts, load) = self.parts_and_load();
+        if self.viewing.source().state() != State::Connected {
+            self.tell(now, NO_SERVER_FOR_PART);
+        } else if !parts.is_some_and(|parts| self.parts_bar.toggle_play(now, &parts, load.as_ref())) {
+            self.tell(now, "There is nothing to play: the file has one point in time");
+        }
+    }
+
+    pub(super) fn parts_and_load(&self) -> (Option<Arc<Choices>>, Option<LoadStatus>) {
+        let talk = self.viewing.source().talk();
+        (talk.selection.choices(), talk.selection.load())
+    }
+
+    /// Shows the bar of parts, and plays their times. `refresh` is what is on the screen.
+    pub(super) fn show_parts(&mut self, ctx: &egui::Context, now: Duration, refresh: Option<&Refresh>) {
+        let (parts, load) = self.parts_and_load();
         let (room, bindings) = (self.room, &self.options.bindings);
         let wish = self.parts_bar.show(ctx, now, room, bindings, parts.as_deref(), load.as_ref());
         self.do_part(now, wish);
         if self.viewing.source().state() != State::Connected {
             self.parts_bar.forget();
         }
+        if let Some(parts) = parts.filter(|_| self.parts_bar.is_playing()) {
+            let frame = refresh.and_then(|refresh| refresh.frame.as_ref());
+            let is_shown = frame.is_some_and(|frame| self.viewing.source().is_of_volume(frame));
+            let wish = self.parts_bar.play(now, &parts, load.as_ref(), is_shown);
+            self.do_part(now, wish);
+            if let Some(wait) = self.parts_bar.wait(now) {
+                ctx.request_repaint_after(wait);
+            }
+        }
+    }
+
+    /// Requests the volume mirrored along some of its axes.
+    pub(super) fn mirror(&mut self, now: Duration, flip: [bool; 3]) {
+        let (parts, load) = self.parts_and_load();
+        let Some(parts) = parts else { return };
+        let shown = parts.shown;
+        // A region is counted along the axes as they are shown.
+        let region = shown.region.map(|region| {
+            std::array::from_fn(|axis| {
+                let ([from, to], whole) = (region[axis], parts.whole_dims[axis] as u32);
+                let is_turned = flip[axis] != shown.flip[axis];
+                if is_turned { [whole - to.min(whole), whole.saturating_sub(from)] } else { region[axis] }
+            })
+        });
+        let wish = self.parts_bar.open(Part { flip, region, ..shown }, load.as_ref());
+        self.do_part(now, Some(wish));
     }
 
     pub(super) fn do_part(&mut self, now: Duration, wish: Option<PartsWish>) {

@@ -1,7 +1,7 @@
 //! Which part of a server's file a state names: its channel, time, level, series and region.
 
 use isinglass_core::wire::{Choices, Part, VolumeDescription};
-use isinglass_formats::SavedVolume;
+use isinglass_formats::{Flip, SavedVolume};
 
 /// Where a state's volume is, as seen from what the server shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +45,7 @@ impl StatePart {
             level: saved.level.or(now.level),
             series: saved.series.or(now.series),
             region,
+            flip: saved.selection().map_or(now.flip, |s| s.flip.0),
         };
         let grid = |part: &Part| (part.level, part.series, voxels(part, parts.whole_dims));
         // Channels and times of a file share one grid. Another level or series has its own, of which at most the size
@@ -63,24 +64,25 @@ impl StatePart {
             let other = saved.difference(&SavedVolume::of(shown));
             return other.map_or(Self::Shown, Self::Elsewhere);
         }
-        let is_shown =
-            (wanted.channel, wanted.time) == (now.channel, now.time) && grid(&wanted) == grid(&now);
+        let is_alike = |part: &Part| (part.channel, part.time, part.flip);
+        let is_shown = is_alike(&wanted) == is_alike(&now) && grid(&wanted) == grid(&now);
         if is_shown { Self::Shown } else { Self::Other(wanted) }
     }
 }
 
 pub(crate) fn names_part(saved: &SavedVolume) -> bool {
-    let SavedVolume { channel, time, level, series, region, .. } = saved;
-    [channel, time, level, series].into_iter().any(Option::is_some) || region.is_some()
+    let SavedVolume { channel, time, level, series, region, flip, .. } = saved;
+    [channel, time, level, series].into_iter().any(Option::is_some) || region.is_some() || flip.is_some()
 }
 
 pub(crate) fn save_part(volume: SavedVolume, part: &Part) -> SavedVolume {
-    let &Part { channel, time, level, series, region } = part;
+    let &Part { channel, time, level, series, region, flip } = part;
     let region = region.map(|ends| {
         let end = |to: u32| if to == u32::MAX { String::new() } else { to.to_string() };
         ends.map(|[from, to]| format!("{from}:{}", end(to))).join(",")
     });
-    SavedVolume { channel, time, level, series, region, ..volume }
+    let flip = Some(Flip(flip)).filter(|f| *f != Flip::default()).map(|f| f.to_string());
+    SavedVolume { channel, time, level, series, region, flip, ..volume }
 }
 
 /// The voxels of a part along each axis, if the whole has `whole` voxels.
@@ -105,7 +107,13 @@ mod tests {
 
     fn parts() -> Choices {
         Choices {
-            shown: Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None },
+            shown: Part {
+                channel: Some(0),
+                time: Some(1),
+                level: Some(0),
+                series: Some(0),
+                ..Part::default()
+            },
             whole_dims: [8; 3],
             num_channels: 3,
             num_times: 4,

@@ -1,7 +1,7 @@
 //! The directions of the world's axes, and the standard views that follow from them.
 
 use glam::{Mat3, Quat, Vec3};
-use isinglass_core::space::world_from_upright;
+use isinglass_core::space::{IMAGE_AXES, world_from_upright};
 use isinglass_formats::UpAxis;
 
 use crate::input::bindings::{Opposite, Side};
@@ -21,12 +21,14 @@ pub(crate) struct Orientation {
 }
 
 impl Orientation {
-    /// From letters such as `RAS`. Without them the axes are x, y and z, with z towards the viewer and y up.
+    /// From letters such as `RAS`. Without those of a body the axes are x, y and z, with z towards the viewer and y
+    /// up; in an image, z runs back from the viewer and y down.
     pub(crate) fn of(letters: Option<&str>) -> Self {
+        let upright = world_from_upright(letters.filter(|letters| *letters == IMAGE_AXES));
         letters.and_then(Self::of_patient).unwrap_or(Self {
             letters: [('x', None), ('y', None), ('z', None)],
-            world_from_upright: Quat::IDENTITY,
-            world_from_sides: Quat::IDENTITY,
+            world_from_upright: upright,
+            world_from_sides: upright,
             up_from_top: Vec3::NEG_Z,
             right: Vec3::X,
         })
@@ -69,6 +71,14 @@ impl Orientation {
             (positive, _) if is_positive => positive.to_string(),
             (_, Some(negative)) => negative.to_string(),
             (positive, None) => format!("-{positive}"),
+        }
+    }
+
+    /// The name of an axis: its letter, or those of both ends.
+    pub(crate) fn axis_name(&self, axis: usize) -> String {
+        match self.letters[axis] {
+            (positive, Some(negative)) => format!("{positive}–{negative}"),
+            (positive, None) => positive.to_string(),
         }
     }
 
@@ -147,6 +157,18 @@ mod tests {
         assert_eq!(lps.standard_view(Side::Front, false), (Vec3::NEG_Y, Vec3::Z));
         let sra = Orientation::of(Some("SRA"));
         assert_eq!(sra.standard_view(Side::Front, false), (Vec3::Z, Vec3::X));
+    }
+
+    #[test]
+    fn an_image_is_seen_as_on_a_page() {
+        let image = Orientation::of(Some(IMAGE_AXES));
+        assert_eq!(image.standard_view(Side::Front, false), (Vec3::NEG_Z, Vec3::NEG_Y), "the first slice");
+        assert_eq!(image.standard_view(Side::Right, false), (Vec3::X, Vec3::NEG_Y));
+        assert_eq!(image.standard_view(Side::Top, false), (Vec3::NEG_Y, Vec3::Z), "the first row");
+        assert_eq!((image.up(), image.is_body()), (Vec3::NEG_Y, false));
+        assert_eq!(image.name(1, false), "-y");
+        // Control: what is no image is seen from +z.
+        assert_eq!(Orientation::of(None).standard_view(Side::Front, false), (Vec3::Z, Vec3::Y));
     }
 
     #[test]

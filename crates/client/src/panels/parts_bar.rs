@@ -1,16 +1,20 @@
 //! The bar at the bottom: channel, time, level and series of the server's file, a choice of others, and the progress
 //! of reading.
 
+mod player;
+
 use std::time::Duration;
 
 use egui::{Align2, ProgressBar, RichText, Ui, vec2};
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
+use lucide_icons::Icon;
 
 use super::part_pickers::{channel_list, label, list, numbered, time_field};
-use super::style::{amber, named, pane_at};
-use super::text::format_bytes;
+use super::style::{amber, icon, named, pane_at};
+use super::text::{format_bytes, format_duration};
 use crate::input::bindings::{Action, Bindings};
+use player::Player;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PartsWish {
@@ -27,6 +31,7 @@ pub(crate) struct PartsBar {
     failed: Option<(LoadId, Duration)>,
     /// The time to which the person drags the number.
     dragged: Option<u32>,
+    player: Player,
     height: f32,
     /// Distance of the bar from the window's left, points.
     left: f32,
@@ -50,8 +55,13 @@ impl PartsBar {
         (time != now).then(|| self.open(Part { time: Some(time), ..chosen }, load))
     }
 
-    /// Requests a part, from which steps count until the server reports its load.
+    /// Requests a part, from which steps count until the server reports its load. Playing ends.
     pub(crate) fn open(&mut self, part: Part, load: Option<&LoadStatus>) -> PartsWish {
+        self.player.stop();
+        self.request(part, load)
+    }
+
+    fn request(&mut self, part: Part, load: Option<&LoadStatus>) -> PartsWish {
         self.asked = Some((part, load.map_or(LoadId(0), |l| l.load)));
         self.failed = None;
         PartsWish::Open(part)
@@ -60,6 +70,40 @@ impl PartsBar {
     /// Drops the request: it is lost with the connection.
     pub(crate) fn forget(&mut self) {
         self.asked = None;
+        self.player.stop();
+    }
+
+    /// Begins to play the times, or ends it. Returns whether there are times to play.
+    pub(crate) fn toggle_play(&mut self, now: Duration, parts: &Choices, load: Option<&LoadStatus>) -> bool {
+        match self.player.is_playing() {
+            true => self.player.stop(),
+            false if parts.num_times > 1 => self.player.start(now, load),
+            false => return false,
+        }
+        true
+    }
+
+    /// Whether the times are being played.
+    pub(crate) fn is_playing(&self) -> bool {
+        self.player.is_playing()
+    }
+
+    /// The next time of a film that plays. `is_shown` if a frame of the present part is on the screen.
+    pub(crate) fn play(
+        &mut self,
+        now: Duration,
+        parts: &Choices,
+        load: Option<&LoadStatus>,
+        is_shown: bool,
+    ) -> Option<PartsWish> {
+        self.follow(now, load);
+        let time = self.player.step(now, parts, load, (self.asked.is_some(), is_shown))?;
+        Some(self.request(Part { time: Some(time), ..self.chosen(parts, load) }, load))
+    }
+
+    /// How long the next time is not due yet.
+    pub(crate) fn wait(&self, now: Duration) -> Option<Duration> {
+        self.player.wait(now)
     }
 
     /// The height of the bar with the space below it, points.
@@ -87,19 +131,22 @@ impl PartsBar {
         self.follow(now, load);
         let mut chosen = self.chosen(parts, load);
         let before = chosen;
-        let mut wish = None;
+        let (mut wish, mut plays) = (None, false);
         let width = (room.width() - 44.0).max(160.0);
         let place = (Align2::CENTER_BOTTOM, [0.0, -10.0]);
         let shown = pane_at(ctx, "parts", room, place, |ui| {
             ui.spacing_mut().item_spacing = vec2(6.0, 4.0);
             ui.set_max_width(width);
-            if self.row_width > width {
-                ui.horizontal_wrapped(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
-            } else {
-                let row = ui.horizontal(|ui| pickers(ui, parts, &mut chosen, &mut self.dragged, bindings));
+            let is_wide = self.row_width > width;
+            let (dragged, is_playing) = (&mut self.dragged, self.player.is_playing());
+            let row = |ui: &mut Ui| pickers(ui, parts, &mut chosen, dragged, bindings, is_playing);
+            let row = if is_wide { ui.horizontal_wrapped(row) } else { ui.horizontal(row) };
+            if !is_wide {
                 self.row_width = row.response.rect.width();
             }
-            if let Some(load) = load
+            plays = row.inner;
+            let is_news = |load: &&LoadStatus| !(load.is_own && self.player.is_swift(now));
+            if let Some(load) = load.filter(is_news)
                 && self.status_row(ui, load)
             {
                 wish = Some(PartsWish::Cancel);
@@ -107,11 +154,16 @@ impl PartsBar {
         });
         let rect = shown.response.rect;
         (self.height, self.left) = (rect.height() + 10.0, rect.left() - room.left());
-        if chosen != before {
+        if plays {
+            self.toggle_play(now, parts, load);
+        }
+        if chosen.time != before.time {
             wish = Some(self.open(chosen, load));
+        } else if chosen != before {
+            wish = Some(self.request(chosen, load));
         }
         if wish == Some(PartsWish::Cancel) {
-            self.asked = None;
+            self.forget();
         }
         wish
     }
@@ -166,8 +218,16 @@ impl PartsBar {
     }
 }
 
-/// A row with a picker for each axis with more than one entry.
-fn pickers(ui: &mut Ui, parts: &Choices, chosen: &mut Part, dragged: &mut Option<u32>, bindings: &Bindings) {
+/// A row with a picker for each axis with more than one entry. Returns whether to begin or end playing.
+fn pickers(
+    ui: &mut Ui,
+    parts: &Choices,
+    chosen: &mut Part,
+    dragged: &mut Option<u32>,
+    bindings: &Bindings,
+    is_playing: bool,
+) -> bool {
+    let mut plays = false;
     if parts.num_times > 1 {
         let last = parts.num_times - 1;
         let mut time = dragged.take().or(chosen.time).unwrap_or(0);
@@ -176,6 +236,15 @@ fn pickers(ui: &mut Ui, parts: &Choices, chosen: &mut Part, dragged: &mut Option
             .add_enabled(time > 0, egui::Button::new("−").small())
             .on_hover_text(bindings.with_key("the time before", Action::StepTime(-1)));
         named(&back, egui::Role::Button, "the time before");
+        let (symbol, name) = if is_playing { (Icon::Pause, "pause") } else { (Icon::Play, "play the times") };
+        let hint = match is_playing {
+            true => "stop at this time".to_owned(),
+            false => format!("play, a time every {}", format_duration(player::interval(parts))),
+        };
+        let play = ui.add(egui::Button::new(icon(symbol).size(12.0)).small());
+        let play = play.on_hover_text(bindings.with_key(&hint, Action::Play));
+        named(&play, egui::Role::Button, name);
+        plays = play.clicked();
         let number = time_field(ui, &mut time, last);
         let on = ui
             .add_enabled(time < last, egui::Button::new("+").small())
@@ -212,6 +281,7 @@ fn pickers(ui: &mut Ui, parts: &Choices, chosen: &mut Part, dragged: &mut Option
             *chosen = Part { series: Some(series), ..Part::default() };
         }
     }
+    plays
 }
 
 fn in_words(part: &Part) -> String {
@@ -233,6 +303,7 @@ fn whole(part: Part, parts: &Choices) -> Part {
         level: part.level.or(shown.level),
         series: part.series.or(shown.series),
         region: part.region,
+        flip: part.flip,
     }
 }
 
@@ -244,7 +315,13 @@ mod tests {
 
     fn parts() -> Choices {
         Choices {
-            shown: Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None },
+            shown: Part {
+                channel: Some(0),
+                time: Some(1),
+                level: Some(0),
+                series: Some(0),
+                ..Part::default()
+            },
             whole_dims: [4; 3],
             num_channels: 2,
             num_times: 4,

@@ -16,7 +16,7 @@ use isinglass_core::camera::{Intrinsics, MAX_SIDE, Pose};
 use isinglass_core::ids::ScreenshotId;
 use isinglass_core::space::Aabb;
 use isinglass_core::wire::screenshot::MAX_SCREENSHOT_PIXELS;
-use isinglass_formats::movie::{MovieForm, MovieWriter, PICTURES_PER_SECOND};
+use isinglass_formats::movie::{INTERVAL, MovieForm, MovieWriter, PICTURES_PER_SECOND};
 use isinglass_formats::png;
 use isinglass_net::State;
 use time::OffsetDateTime;
@@ -502,7 +502,7 @@ impl Series {
                     }
                     path = files::free(path);
                     let size = [picture.width, picture.height];
-                    MovieWriter::create(&path, form, size, total).map_err(|e| e.to_string())?
+                    MovieWriter::create(&path, form, size, total, INTERVAL).map_err(|e| e.to_string())?
                 }
             };
             writer.add(&picture).map_err(|e| e.to_string())?;

@@ -34,6 +34,8 @@ pub(crate) struct Toolbar<'a> {
     pub(crate) opens_volumes: bool,
     pub(crate) axes: Orientation,
     pub(crate) up: UpAxis,
+    /// The axes along which the volume is mirrored; `None` if the server does not let viewers choose.
+    pub(crate) flip: Option<[bool; 3]>,
     /// Names of remembered views.
     pub(crate) named_views: Vec<&'a str>,
 }
@@ -46,6 +48,8 @@ pub(crate) enum ToolbarWish {
     /// Ask for the movie of the recorded path.
     MovieOfPath,
     TurnUp(UpAxis),
+    /// Mirror the volume along these of its axes.
+    Mirror([bool; 3]),
     View(NamedViewWish),
 }
 

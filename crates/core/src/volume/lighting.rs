@@ -3,6 +3,8 @@
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
+use crate::space::IMAGE_AXES;
+
 /// Direction of the light, strength of the shade, and highlights. Light is fixed in the world, so only highlights
 /// depend on the view.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -79,6 +81,16 @@ impl Lighting {
         Self { azimuth_degrees, elevation_degrees, ..self }
     }
 
+    /// The same light for a volume whose axes point to `letters`. An image is seen from its back, so its light comes
+    /// from there: half a turn about x. The light of a body is fixed to its axes.
+    pub fn upright(self, letters: Option<&str>) -> Self {
+        if letters != Some(IMAGE_AXES) {
+            return self;
+        }
+        let azimuth_degrees = 180f32.copysign(self.azimuth_degrees) - self.azimuth_degrees;
+        Self { azimuth_degrees, elevation_degrees: -self.elevation_degrees, ..self }
+    }
+
     /// Checks that every number is in its range.
     ///
     /// # Errors
@@ -120,6 +132,7 @@ pub const SHININESS_MAX: f32 = 128.0;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::space::world_from_upright;
 
     #[test]
     fn the_light_is_where_its_angles_say() {
@@ -134,6 +147,10 @@ mod tests {
         ] {
             assert!((found - expected).length() < 1e-6, "{found} for {expected}");
         }
+        let image = Lighting::default().upright(Some(IMAGE_AXES));
+        let turned = world_from_upright(Some(IMAGE_AXES)) * Lighting::default().direction();
+        assert!((image.direction() - turned).length() < 1e-6 && image.validate() == Ok(()));
+        assert_eq!(Lighting::default().upright(Some("RAS")), Lighting::default());
         for d in [Vec3::new(0.3, -0.2, 0.9), Vec3::new(-5.0, 2.0, -1.0), Vec3::Y, Vec3::NEG_Y] {
             let towards = Lighting::default().towards(d);
             assert_eq!(towards.validate(), Ok(()));

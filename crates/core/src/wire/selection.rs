@@ -25,6 +25,8 @@ pub struct Part {
     pub series: Option<u32>,
     /// First voxel and the one after the last, along each axis of the volume as it is shown.
     pub region: Option<[[u32; 2]; 3]>,
+    /// The axes of the volume along which it is mirrored, against what the file says.
+    pub flip: [bool; 3],
 }
 
 /// The choices in a file, and the shown part.
@@ -42,6 +44,8 @@ pub struct Choices {
     pub channels: Vec<String>,
     /// Number of points in time.
     pub num_times: u32,
+    /// Time from one point in time to the next, seconds, if the file tells it.
+    pub time_step: Option<f32>,
     /// Voxels of each pyramid level, the finest first; empty if there is only one.
     pub levels: Vec<[u64; 3]>,
     /// Number of series.
@@ -120,6 +124,9 @@ impl Choices {
         if counts.contains(&0) || self.whole_dims.contains(&0) {
             return Err(ControlError::Value("number of parts"));
         }
+        if self.time_step.is_some_and(|seconds| !(seconds.is_finite() && seconds > 0.0)) {
+            return Err(ControlError::Value("time step"));
+        }
         let is_long = |names: &[String], number: u32| names.len() > MAX_LISTED.min(number as usize);
         if is_long(&self.channels, self.num_channels)
             || is_long(&self.series, self.num_series)
@@ -159,12 +166,19 @@ mod tests {
 
     fn parts() -> Choices {
         Choices {
-            shown: Part { channel: Some(1), time: Some(0), level: Some(0), series: Some(0), region: None },
+            shown: Part {
+                channel: Some(1),
+                time: Some(0),
+                level: Some(0),
+                series: Some(0),
+                ..Part::default()
+            },
             whole_dims: [5, 4, 3],
             num_channels: 3,
             joins_channels: true,
             channels: vec!["DAPI".into(), "GFP".into(), "2".into()],
             num_times: 7,
+            time_step: Some(2.5),
             levels: vec![[5, 4, 3], [3, 2, 2]],
             num_series: 1,
             series: vec![],
@@ -199,6 +213,9 @@ mod tests {
         assert!(encode(&ServerMessage::Choices(Box::new(parts()))).is_ok());
         for bad in [
             Choices { num_times: 0, ..parts() },
+            Choices { time_step: Some(0.0), ..parts() },
+            Choices { time_step: Some(f32::NAN), ..parts() },
+            Choices { time_step: Some(f32::INFINITY), ..parts() },
             Choices { num_channels: 2, ..parts() },
             Choices { whole_dims: [1, 0, 1], ..parts() },
             Choices { levels: vec![[0; 3]], ..parts() },

@@ -33,6 +33,8 @@ pub(super) struct Frame {
     pub(super) scale: Scale,
     /// The number of pixels outside of the picture, as far as it is known.
     pub(super) padding: Option<f64>,
+    /// The values that it shows black and white, if it says so.
+    pub(super) window: Option<(f64, f64)>,
 }
 
 /// How stored numbers become values.
@@ -228,6 +230,7 @@ fn stacks_of(
             padding: fields
                 .short(tags::PIXEL_PADDING)
                 .map(|bits| if shape.is_signed { f64::from(bits as i16) } else { f64::from(bits) }),
+            window: own.get(i).and_then(|o| o.window).or(shared.window),
         };
         let plane = own.get(i).map(|o| &o.plane);
         let plane = Plane {
@@ -314,6 +317,7 @@ pub(super) struct FrameFields {
     pub(super) slice_spacing: Option<f64>,
     slope: Option<f64>,
     intercept: Option<f64>,
+    window: Option<(f64, f64)>,
     /// Unit of the values, in DICOM's terms.
     unit: Option<String>,
 }
@@ -334,6 +338,11 @@ impl FrameFields {
             // Doses have their own field for the slope, and are then in gray.
             slope: fields.decimal(tags::RESCALE_SLOPE).or_else(|| fields.decimal(tags::DOSE_GRID_SCALING)),
             intercept: fields.decimal(tags::RESCALE_INTERCEPT),
+            // Of several windows, the first is that of the whole picture.
+            window: fields
+                .decimal(tags::WINDOW_CENTER)
+                .zip(fields.decimal(tags::WINDOW_WIDTH))
+                .map(|(center, width)| (center - width / 2.0, center + width / 2.0)),
             unit: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE, tags::LUT_TYPE]
                 .into_iter()
                 .find_map(|t| fields.text(t)),

@@ -27,7 +27,7 @@ use self::shape::Shape;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, not_there, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
@@ -210,6 +210,12 @@ impl DicomFiles {
         plan.spacing_guess = stacked.spacing_guess;
         plan.modality = stacked.modality;
         plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
+        // Slices may have windows of their own. That in the middle of the stack stands for all.
+        let window = frames.get(num_slices / 2).and_then(|frame| frame.window);
+        if shape.samples == 1 {
+            let window = window.filter(|_| !shape.is_inverted);
+            plan.channel_looks = vec![ChannelLook { window, ..ChannelLook::default() }];
+        }
         if shape.samples == 3 {
             plan.set_colors();
         }

@@ -15,7 +15,7 @@ use super::keys::Keys;
 use super::pixels;
 use super::shape::Shape;
 use super::tags;
-use crate::axes::{Geometry, ras_from_lps};
+use crate::axes::{Geometry, World, ras_from_lps};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::FormatError;
@@ -129,7 +129,7 @@ impl Segmentation {
                 let geometry = Geometry {
                     steps: steps.map(ras_from_lps),
                     origin: Some(ras_from_lps(positions[first])),
-                    is_body: true,
+                    world: World::Body,
                     unit: pixel_spacing.map(|_| "mm".to_owned()),
                 };
                 (slices, geometry)
@@ -364,6 +364,7 @@ fn decoded(file: &mut File, frame: &SegmentFrame, shape: &Shape) -> Result<Vec<u
         keys: Keys::default().into(),
         scale: Scale::Linear(1.0, 0.0),
         padding: None,
+        window: None,
     };
     let bytes = pixels::decode(file, &frame, shape)?;
     match shape.bits_allocated {

@@ -9,7 +9,7 @@ use super::frame::{FileStack, Frame, Plane};
 use super::gaps::Gaps;
 use super::resample::Resampling;
 use super::shape::{Colors, Shape};
-use crate::axes::{Geometry, ras_from_lps};
+use crate::axes::{Geometry, World, ras_from_lps};
 use crate::error::quoted;
 use crate::warning::WarningKind;
 
@@ -315,7 +315,7 @@ impl Series {
                     steps: [row * column_distance, column * row_distance, normal * distance]
                         .map(ras_from_lps),
                     origin: stack[0].position.map(|first| ras_from_lps(first + corner)),
-                    is_body: true,
+                    world: World::Body,
                     unit,
                 }
             }

@@ -62,6 +62,8 @@ tags! {
     HIGH_BIT 0x0028 0x0102,
     PIXEL_REPRESENTATION 0x0028 0x0103,
     PIXEL_PADDING 0x0028 0x0120,
+    WINDOW_CENTER 0x0028 0x1050,
+    WINDOW_WIDTH 0x0028 0x1051,
     RESCALE_INTERCEPT 0x0028 0x1052,
     RESCALE_SLOPE 0x0028 0x1053,
     RESCALE_TYPE 0x0028 0x1054,
@@ -88,9 +90,9 @@ tags! {
 
 /// Whether an element is a sequence with relevant values.
 pub(super) fn is_sequence(tag: Tag) -> bool {
-    // Frame groups: echo, diffusion, heartbeat and type; content, position, orientation and time; pixels and values;
+    // Frame groups: echo, diffusion, heartbeat and type; content, position, orientation and time; pixels, window and values;
     // segment.
-    const INNER: [Tag; 13] = [
+    const INNER: [Tag; 14] = [
         (0x0018, 0x9114),
         (0x0018, 0x9117),
         (0x0018, 0x9118),
@@ -102,6 +104,7 @@ pub(super) fn is_sequence(tag: Tag) -> bool {
         (0x0020, 0x9116),
         (0x0020, 0x9310),
         (0x0028, 0x9110),
+        (0x0028, 0x9132),
         (0x0028, 0x9145),
         (0x0062, 0x000a),
     ];

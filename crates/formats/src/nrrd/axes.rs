@@ -4,7 +4,7 @@ use glam::DVec3;
 use isinglass_core::text::printable;
 
 use super::header::{NrrdHeader, Space};
-use crate::axes::Geometry;
+use crate::axes::{Geometry, World};
 use crate::error::HeaderError;
 use crate::plan::{Axis, Role};
 use crate::warning::{Warning, WarningKind};
@@ -38,10 +38,11 @@ impl Axes {
         let are_colors = other_roles(header, &mut axes, kept[0])?;
         let steps = steps(header, &kept, &mut warnings)?;
         let is_body = header.directions.is_some() && matches!(header.space, Space::Anatomical(_));
+        let world = if is_body { World::Body } else { World::Space };
         let has_directions = header.directions.is_some();
         let origin = header.origin.filter(|_| has_directions).map(|o| in_space(header, o));
         let unit = unit(header, &kept, &mut warnings);
-        Ok(Self { axes, geometry: Geometry { steps, origin, is_body, unit }, are_colors, warnings })
+        Ok(Self { axes, geometry: Geometry { steps, origin, world, unit }, are_colors, warnings })
     }
 }
 

@@ -43,7 +43,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::error::{FormatError, quoted, shown};
 use crate::raw::RawShape;
 use crate::reading::{Meaning, Reading};
-use crate::selection::Selection;
+use crate::selection::{Flip, Selection};
 use crate::source::{read_file, source_exists};
 use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
@@ -90,6 +90,8 @@ pub struct SavedVolume {
     pub series: Option<u32>,
     /// Part of the volume, in the form of `--region`.
     pub region: Option<String>,
+    /// Axes along which the volume is mirrored, in the form of `--flip`.
+    pub flip: Option<String>,
     /// Distances between voxels that replace those of the file.
     pub given_spacing: Option<[f32; 3]>,
     /// Whether slices stay as they are stored, in the form of `--stored-slices`.
@@ -127,8 +129,9 @@ impl SavedVolume {
     pub fn opened_from(self, volume: &VolumeSource) -> Self {
         let VolumeSource { source, raw, selection, spacing, foreign_files: _, reading } = volume.clone();
         let Reading { stored_slices, voxels, thin, labels } = reading;
-        let Selection { channel, time, level, series, region } = selection;
+        let Selection { channel, time, level, series, region, flip } = selection;
         let (region, given_spacing) = (region.map(|r| r.to_string()), spacing.map(Vec3::into));
+        let flip = Some(flip).filter(|f| *f != Flip::default()).map(|f| f.to_string());
         let (source, stored_slices) = (Some(source), stored_slices.then_some(true));
         Self {
             source,
@@ -137,6 +140,7 @@ impl SavedVolume {
             level,
             series,
             region,
+            flip,
             given_spacing,
             stored_slices,
             voxels,
@@ -150,7 +154,7 @@ impl SavedVolume {
     /// The source to open, if it is known and not a server.
     ///
     /// # Errors
-    /// The region is invalid.
+    /// The region or the flip is invalid.
     pub fn volume_source(&self) -> Result<Option<VolumeSource>, String> {
         let Some(source) = self.source.clone().filter(|_| self.link().is_none()) else { return Ok(None) };
         let (selection, spacing) = (self.selection()?, self.given_spacing.map(Vec3::from));
@@ -168,11 +172,12 @@ impl SavedVolume {
     /// The part of the file.
     ///
     /// # Errors
-    /// The region is invalid.
+    /// The region or the flip is invalid.
     pub fn selection(&self) -> Result<Selection, String> {
         let &Self { channel, time, level, series, .. } = self;
         let region = self.region.as_deref().map(str::parse).transpose()?;
-        Ok(Selection { channel, time, level, series, region })
+        let flip = self.flip.as_deref().map(str::parse).transpose()?.unwrap_or_default();
+        Ok(Selection { channel, time, level, series, region, flip })
     }
 
     /// The link to a server, if the source is one.

@@ -2,7 +2,7 @@
 
 use super::{PlaneAxis, Stack};
 use crate::plan::ChannelLook;
-use crate::units::{length_unit, value_unit};
+use crate::units::{length_unit, time_step, time_unit, value_unit};
 
 /// Whether a description is ImageJ's.
 pub(super) fn is_imagej(text: &str) -> bool {
@@ -44,9 +44,16 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2], metadata: Option<
         series: Vec::new(),
         value_map,
         value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(value_unit),
+        time_step: interval(number("finterval"), get("tunit"), number("fps")),
         guess: None,
         name: "ImageJ TIFF",
     }
+}
+
+/// Seconds between the frames: their interval in its unit, or what the rate of playing says.
+fn interval(interval: Option<f64>, unit: Option<&str>, frames_per_second: Option<f64>) -> Option<f64> {
+    let told = interval.and_then(|interval| time_step(interval * time_unit(unit.unwrap_or("sec"))?));
+    told.or_else(|| time_step(1.0 / frames_per_second?))
 }
 
 /// What ImageJ writes into tags of its own: a table of colours and a range of values for each channel.

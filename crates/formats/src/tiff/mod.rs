@@ -61,6 +61,8 @@ pub(super) struct Stack {
     /// Slope and intercept that turn numbers into values.
     pub(super) value_map: (f64, f64),
     pub(super) value_unit: Option<String>,
+    /// Seconds from one point in time to the next.
+    pub(super) time_step: Option<f64>,
     /// A warning about assumed axes.
     pub(super) guess: Option<String>,
     pub(super) name: &'static str,
@@ -99,6 +101,7 @@ impl Stack {
             series: Vec::new(),
             value_map: (1.0, 0.0),
             value_unit: None,
+            time_step: None,
             guess: None,
             name: "TIFF",
         }
@@ -330,7 +333,7 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
         dtype,
         endian.unwrap_or(NATIVE),
         axes,
-        Geometry::along_axes(known, unit),
+        Geometry::of_image(known, unit),
     );
     plan.value_map = stack.value_map;
     plan.channel_names = std::mem::take(&mut stack.channel_names);
@@ -353,6 +356,7 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
         plan.warn(WarningKind::Guess, text);
     }
     plan.value_unit = stack.value_unit.take();
+    plan.time_step = stack.time_step;
     let depth = stack.axes.iter().find(|a| a.0 == PlaneAxis::Z).map_or(1, |a| a.1);
     plan.spacing_guess = match (in_plane, spacing[2]) {
         (None, _) => Some("the file has no spacing; it was taken as 1".into()),

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use super::{PageLocation, PlaneAxis, Stack};
 use crate::error::quoted;
 use crate::plan::ChannelLook;
-use crate::units::length_unit;
+use crate::units::{length_unit, time_step, time_unit};
 use crate::xml::{Tags, XmlTag};
 
 /// Whether a description is OME-XML.
@@ -184,6 +184,7 @@ pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Res
         series: if images.len() > 1 { names.collect() } else { Vec::new() },
         value_map: (1.0, 0.0),
         value_unit: None,
+        time_step: interval(image),
         guess: None,
         name: "OME-TIFF",
     })
@@ -250,6 +251,12 @@ fn spacing(image: &Image) -> ([Option<f64>; 3], Option<String>) {
     let Some((meters, name)) = units[0] else { return (sizes, None) };
     let in_first = |i: usize| sizes[i].map(|s| s * units[i].map_or(1.0, |(own, _)| own / meters));
     ([in_first(0), in_first(1), in_first(2)], Some(name.to_owned()))
+}
+
+/// Seconds between the points in time. The default unit of the model is the second.
+fn interval(image: &Image) -> Option<f64> {
+    let unit = time_unit(image.get("TimeIncrementUnit").unwrap_or("s"))?;
+    time_step(image.get("TimeIncrement")?.parse::<f64>().ok()? * unit)
 }
 
 fn parse(text: &str) -> Result<Ome, String> {

@@ -10,11 +10,11 @@ use serde_json::Value;
 use super::array::Array;
 use super::json;
 use super::store::Store;
-use crate::axes::Geometry;
+use crate::axes::{Geometry, World};
 use crate::error::{FormatError, malformed, quoted};
 use crate::outline::Level;
 use crate::plan::{Axis, ChannelLook, Plan, Role};
-use crate::units::length_unit;
+use crate::units::{length_unit, time_step, time_unit};
 
 /// An image of several levels.
 pub(super) struct Multiscale {
@@ -36,6 +36,8 @@ struct NamedAxis {
     kind: AxisKind,
     /// Its unit in metres, and the short name of the unit.
     unit: Option<(f64, &'static str)>,
+    /// Its unit in seconds, if it is one of time.
+    seconds: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -222,7 +224,7 @@ impl Multiscale {
         let geometry = Geometry {
             steps: [steps[0], steps[1], steps[2]],
             origin: self.is_image.then_some(origin),
-            is_body: false,
+            world: World::Image,
             unit: unit.map(|u| u.1.to_owned()),
         };
         let name = if self.is_image {
@@ -239,6 +241,8 @@ impl Multiscale {
         }
         plan.are_labels = self.labels.is_some();
         plan.labels = self.labels.clone().unwrap_or_default();
+        let in_time = self.axes.iter().zip(&place.scale).find(|(axis, _)| axis.kind == AxisKind::Time);
+        plan.time_step = in_time.and_then(|(axis, scale)| time_step(scale * axis.seconds?));
         plan.level = level;
         if arrays.len() > 1 {
             let spacing = |place: &Transform, k: usize| {
@@ -311,8 +315,8 @@ impl NamedAxis {
             ("c", _) | (_, Some("channel")) => AxisKind::Channel,
             _ => return Err(format!("an axis is called {}, expected t, c, z, y or x", quoted(name))),
         };
-        let unit = value["unit"].as_str().and_then(length_unit);
-        Ok(Self { kind, unit })
+        let unit = value["unit"].as_str();
+        Ok(Self { kind, unit: unit.and_then(length_unit), seconds: unit.and_then(time_unit) })
     }
 }
 

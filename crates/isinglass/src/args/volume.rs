@@ -9,8 +9,8 @@ use glam::Vec3;
 use isinglass_bench::progress::Progress;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
-    Dtype, Endian, Meaning, OpenOptions, Outline, RawShape, Reading, Region, Selection, VolumeSource, open,
-    outline,
+    Dtype, Endian, Flip, Meaning, OpenOptions, Outline, RawShape, Reading, Region, Selection, VolumeSource,
+    open, outline,
 };
 use isinglass_formats::{OpenedScene, open_scene};
 
@@ -56,6 +56,7 @@ impl VolumeArgs {
             level: of_flags.level.or(saved.level),
             series: of_flags.series.or(saved.series),
             region: of_flags.region.or(saved.region),
+            flip: self.part.flip.or(Some(saved.flip).filter(|flip| *flip != Flip::default())),
             foreign_files: self.part.foreign_files,
             stored_slices: if stored_slices { Switch::On } else { self.part.stored_slices },
             voxels: self.part.voxels.or(voxels),
@@ -77,6 +78,16 @@ impl VolumeArgs {
             open(source, &OpenOptions { progress: Some(progress), ..options })
         })?;
         Ok((volume, before))
+    }
+
+    /// The same volume at another time.
+    pub(crate) fn at_time(&self, time: u32) -> Self {
+        Self { part: PartArgs { time: Some(time), ..self.part.clone() }, ..self.clone() }
+    }
+
+    /// The contents of the file, by its header.
+    pub(crate) fn outline(&self) -> Result<Outline> {
+        Ok(outline(self.source()?, &self.options(&self.part.reading()))?)
     }
 
     /// Options for opening. The memory limit is the default of `serve`, so that both choose the same level of a
@@ -136,6 +147,9 @@ pub(crate) struct PartArgs {
     /// Voxels to take along the axes that `info` shows, without the end, such as 0:100,50:,:
     #[arg(long, value_name = "X,Y,Z")]
     region: Option<Region>,
+    /// Axes along which the volume is mirrored, where the file says it wrongly, such as y or x,z
+    #[arg(long, value_name = "X,Y,Z")]
+    flip: Option<Flip>,
     /// Distances between voxels that replace those of the file
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, allow_hyphen_values = true)]
     pub(crate) spacing: Option<Vec3>,
@@ -161,7 +175,7 @@ pub(crate) struct PartArgs {
 impl PartArgs {
     pub(crate) fn selection(&self) -> Selection {
         let &Self { channel, time, level, series, region, .. } = self;
-        Selection { channel, time, level, series, region }
+        Selection { channel, time, level, series, region, flip: self.flip.unwrap_or_default() }
     }
 
     /// Whether data files may be outside the folder of their header.

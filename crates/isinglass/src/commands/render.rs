@@ -1,16 +1,23 @@
 //! `render`: the reference picture of a volume, or pictures and movies of a camera that moves.
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::Args;
 use clap::error::ErrorKind;
 use isinglass_bench::progress::Progress;
+use isinglass_client::CameraPath;
 use isinglass_core::camera::{Camera, Pose};
+use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::orbit::Orbit;
 use isinglass_core::space::Aabb;
-use isinglass_formats::movie::{MovieForm, MovieWriter, PICTURES_PER_SECOND};
+use isinglass_core::transfer::TransferFunction;
+use isinglass_formats::OpenedScene;
+use isinglass_formats::movie::{INTERVAL, MovieForm, MovieWriter, PICTURES_PER_SECOND, interval_of_times};
 use serde_json::json;
 
 use crate::args::{
@@ -21,7 +28,7 @@ use crate::given::Given;
 use crate::lens_args::LensArgs;
 use crate::light_args::LightArgs;
 use crate::report::print_json;
-use crate::state_args::StateArgs;
+use crate::state_args::{Seen, StateArgs};
 
 #[derive(Args)]
 pub(crate) struct RenderArgs {
@@ -31,13 +38,16 @@ pub(crate) struct RenderArgs {
     /// front, which is a body's anterior side where the file knows it and +z otherwise
     #[arg(long, value_name = "AZ,EL[,DIST]", default_value = "30,20", allow_hyphen_values = true)]
     orbit: Orbit,
-    /// PNG file to write. With --turntable or --path a folder, which is made, a name with a # for each digit of a
-    /// number, or a movie: .gif plays everywhere, .apng has all colours
-    #[arg(short, long, value_name = "FILE", value_parser = parse_pictures)]
+    /// PNG file to write. With --turntable, --path or --times a folder, which is made, or a name with a # for each digit
+    /// of a number. A movie is of all times of the file, or of a turn: .gif plays everywhere, .apng has all colours
+    #[arg(short, long, visible_alias = "movie", value_name = "FILE", value_parser = parse_pictures)]
     output: PathBuf,
     /// Render N pictures once around the volume, starting at --orbit
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=MAX_PICTURES))]
     turntable: Option<u32>,
+    /// Render points in time, all under the look of the first: from A, without B, every STEP; : is all of them
+    #[arg(long, value_name = "A:B[:STEP]")]
+    times: Option<TimeRange>,
     #[command(flatten)]
     path: PathArgs,
     #[command(flatten)]
@@ -62,12 +72,9 @@ pub(crate) struct RenderArgs {
 }
 
 pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
-    let path = args.path.read()?;
-    if args.turntable.is_some() && path.is_some() {
-        let text = "found --turntable and --path, expected one of them";
-        return Err(clap::Error::raw(ErrorKind::ArgumentConflict, text).into());
-    }
-    let is_series = args.turntable.is_some() || path.is_some();
+    let seen = args.state.read(given)?;
+    let series = args.series(&seen)?;
+    let is_series = !matches!(series, Series::One);
     let movie = MovieForm::of(&args.output).filter(|_| is_series);
     if !is_series && !args.output.is_dir() {
         let parsed = parse_picture(&args.output.to_string_lossy());
@@ -77,42 +84,57 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         let text = format!("{}: found a folder, expected the name of a file", args.output.display());
         return Err(clap::Error::raw(ErrorKind::ValueValidation, text).into());
     }
-    let seen = args.state.read(given)?;
     if !is_series || movie.is_some() {
         not_an_input(&args.output, seen.inputs(&args.volume, &args.state, &args.look))?;
     }
     seen.note_what_is_not_drawn(args.lens.has_two_eyes());
     let lighting = args.light.lighting();
-    let (opened, _) = seen.open(&args.volume, &args.look, lighting, &ListArgs::default())?;
+    let volume = match &series {
+        Series::Times(times, _) => seen.volume(&args.volume)?.at_time(times[0]),
+        _ => args.volume.clone(),
+    };
+    let (opened, _) = seen.open(&volume, &args.look, lighting, &ListArgs::default())?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
     let letters = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(letters.as_deref());
-    let num_pictures = match &path {
-        Some(path) => (path.duration().as_secs_f32() * PICTURES_PER_SECOND as f32) as u32 + 1,
-        None => args.turntable.unwrap_or(1),
-    };
+    let num_pictures = series.num_pictures();
     if num_pictures > MAX_PICTURES as u32 {
-        let most = MAX_PICTURES as u32 / PICTURES_PER_SECOND;
-        anyhow::bail!("the path has {num_pictures} pictures, expected one of at most {most} s");
+        anyhow::bail!("these would be {num_pictures} pictures, expected at most {MAX_PICTURES}");
     }
     let names = Names::of(&args.output, is_series);
     if let (None, Names::Folder(folder)) = (movie, &names) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
+    let at_values = Frozen::of(&opened);
+    let (renderer, backend) = args.backend.renderer(opened.scene)?;
+    let mut renderer = Some(renderer);
     let mut progress = is_series.then(|| Progress::new("pictures", num_pictures.into()));
     let mut writer = None;
     let start = Instant::now();
     let mut told = None;
     for number in 0..num_pictures {
-        let degrees = if path.is_some() { 0.0 } else { 360.0 * number as f32 / num_pictures as f32 };
-        let mut camera = seen.camera(&orbit, degrees, &args.view, &bounds);
-        let at = Duration::from_secs_f32(number as f32 / PICTURES_PER_SECOND as f32);
-        if let Some(pose) = path.as_ref().and_then(|path| path.pose_at(at, &camera.intrinsics, &bounds)) {
-            camera = moved(&camera, pose, &bounds);
+        let mut label = number;
+        let mut camera = seen.camera(&orbit, series.degrees(number), &args.view, &bounds);
+        match &series {
+            Series::Path(path) => {
+                let at = Duration::from_secs_f32(number as f32 / PICTURES_PER_SECOND as f32);
+                if let Some(pose) = path.pose_at(at, &camera.intrinsics, &bounds) {
+                    camera = moved(&camera, pose, &bounds);
+                }
+            }
+            Series::Times(times, _) => {
+                label = times[number as usize];
+                if number > 0 {
+                    // Two volumes at a time would need memory for both.
+                    drop(renderer.take());
+                    renderer = Some(backend.renderer(at_values.scene(&volume.at_time(label))?)?);
+                }
+            }
+            Series::One | Series::Turn(_) => {}
         }
-        let plan = args.lens.plan(&camera, &bounds, letters.as_deref(), degrees)?;
+        let renderer = renderer.as_mut().context("there is no renderer")?;
+        let plan = args.lens.plan(&camera, &bounds, letters.as_deref(), series.degrees(number))?;
         let pictures = plan.draw(|views| renderer.render_mean(views))?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;
         let picture = plan.compose(&pictures, seen.background(args.background));
@@ -121,13 +143,13 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
                 let size = [picture.width, picture.height];
                 let begun = match writer.take() {
                     Some(begun) => Ok(begun),
-                    None => MovieWriter::create(&args.output, form, size, num_pictures),
+                    None => MovieWriter::create(&args.output, form, size, num_pictures, series.interval()),
                 };
                 let mut begun = begun?;
                 begun.add(&picture)?;
                 writer = Some(begun);
             }
-            None => picture.write(&names.file(number))?,
+            None => picture.write(&names.file(label))?,
         }
         if let Some(progress) = &mut progress {
             progress.advance(1, "");
@@ -141,7 +163,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         progress.finish();
     }
     if let (true, Some((size, lens, render_ms))) = (args.json, told) {
-        print_json(&json!({
+        let mut told = json!({
             "output": args.output.display().to_string(),
             "size": size,
             "pictures": num_pictures,
@@ -150,9 +172,154 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
             "tf": opened.transfer.name,
             "mode": mode.name(),
             "render_ms": render_ms,
-        }))?;
+        });
+        if let Series::Times(times, _) = &series {
+            told["times"] = json!(times);
+        }
+        print_json(&told)?;
     }
     Ok(())
+}
+
+/// What there are pictures of.
+enum Series {
+    One,
+    /// So many around the volume.
+    Turn(u32),
+    Path(CameraPath),
+    /// Points in time of the file, and the time between two of them in a movie.
+    Times(Vec<u32>, Duration),
+}
+
+impl RenderArgs {
+    /// The series that is asked for. A movie without one is of all times, or else of a turn.
+    fn series(&self, seen: &Seen) -> Result<Series> {
+        let path = self.path.read()?;
+        let given = [
+            ("--turntable", self.turntable.is_some()),
+            ("--path", path.is_some()),
+            ("--times", self.times.is_some()),
+        ];
+        let mut given = given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name);
+        if let (Some(first), Some(second)) = (given.next(), given.next()) {
+            let text = format!("found {first} and {second}, expected one of them");
+            return Err(clap::Error::raw(ErrorKind::ArgumentConflict, text).into());
+        }
+        let is_movie = MovieForm::of(&self.output).is_some();
+        let of_times = |range: TimeRange| -> Result<Series> {
+            let outline = seen.volume(&self.volume)?.outline()?;
+            let number = u32::try_from(outline.num_times).unwrap_or(u32::MAX);
+            if number == 1 && self.times.is_none() {
+                return Ok(Series::Turn(TURN_PICTURES));
+            }
+            let times = range.times(number).map_err(|text| anyhow::anyhow!("--times: {text}"))?;
+            let step = outline.time_step.map(|seconds| seconds * f64::from(range.step));
+            Ok(Series::Times(times, interval_of_times(step)))
+        };
+        match (path, self.turntable, self.times) {
+            (Some(path), ..) => Ok(Series::Path(path)),
+            (_, Some(number), _) => Ok(Series::Turn(number)),
+            (_, _, Some(range)) => of_times(range),
+            _ if is_movie => of_times(TimeRange::ALL),
+            _ => Ok(Series::One),
+        }
+    }
+}
+
+impl Series {
+    fn num_pictures(&self) -> u32 {
+        match self {
+            Self::One => 1,
+            Self::Turn(number) => *number,
+            Self::Path(path) => (path.duration().as_secs_f32() * PICTURES_PER_SECOND as f32) as u32 + 1,
+            Self::Times(times, _) => times.len() as u32,
+        }
+    }
+
+    /// How far the camera has turned around the volume, degrees.
+    fn degrees(&self, number: u32) -> f32 {
+        match self {
+            Self::Turn(pictures) => 360.0 * number as f32 / *pictures as f32,
+            Self::One | Self::Path(_) | Self::Times(..) => 0.0,
+        }
+    }
+
+    fn interval(&self) -> Duration {
+        match self {
+            Self::Times(_, interval) => *interval,
+            Self::One | Self::Turn(_) | Self::Path(_) => INTERVAL,
+        }
+    }
+}
+
+/// Points in time of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct TimeRange {
+    from: u32,
+    /// The time after the last; `None` is the end.
+    to: Option<u32>,
+    step: u32,
+}
+
+impl TimeRange {
+    const ALL: Self = Self { from: 0, to: None, step: 1 };
+
+    /// The times, of a file with `number` of them.
+    fn times(self, number: u32) -> Result<Vec<u32>, String> {
+        let to = self.to.unwrap_or(number);
+        if self.from >= to || to > number {
+            return Err(format!("found {}:{to}, expected a part of 0:{number}", self.from));
+        }
+        Ok((self.from..to).step_by(self.step as usize).take(MAX_PICTURES as usize + 1).collect())
+    }
+}
+
+impl FromStr for TimeRange {
+    type Err = String;
+
+    /// Reads `A:B` or `A:B:STEP`. The end is not included. A missing number is the first or the last time.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let bad = || "expected A:B or A:B:STEP, such as 0:10 or ::2".to_owned();
+        let number = |word: &str| match word.trim() {
+            "" => Ok(None),
+            word => word.parse::<u32>().map(Some).map_err(|_| bad()),
+        };
+        let words: Vec<_> = text.split(':').map(number).collect::<Result<_, _>>()?;
+        let (from, to, step) = match words[..] {
+            [from, to] => (from, to, None),
+            [from, to, step] => (from, to, step),
+            _ => return Err(bad()),
+        };
+        let (from, step) = (from.unwrap_or(0), step.unwrap_or(1));
+        if step == 0 || to.is_some_and(|to| to <= from) {
+            return Err(format!("{text} is empty; {}", bad()));
+        }
+        Ok(Self { from, to, step })
+    }
+}
+
+/// A look that shows each value of any volume as the first one does.
+struct Frozen {
+    transfer: TransferFunction,
+    settings: MarchSettings,
+}
+
+impl Frozen {
+    fn of(opened: &OpenedScene) -> Self {
+        let Scene { volume, histogram, settings, .. } = &opened.scene;
+        let isos = match settings.mode {
+            Mode::Iso if settings.isos.as_slice().is_empty() => Isos::one(histogram.parting_value()),
+            _ => settings.isos,
+        };
+        let settings = MarchSettings { isos, ..*settings };
+        Self { transfer: opened.transfer.at_values(volume, histogram), settings }
+    }
+
+    /// Opens a volume with this look.
+    fn scene(&self, volume: &VolumeArgs) -> Result<Scene> {
+        let (volume, _) = volume.open()?;
+        Ok(Scene::new(Arc::new(volume), &self.transfer, self.settings))
+    }
 }
 
 /// Names of the pictures.
@@ -199,8 +366,16 @@ fn moved(camera: &Camera, pose: Pose, bounds: &Aabb) -> Camera {
 /// A file to write, or an existing folder.
 fn parse_pictures(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
+    let says = |ending: &&&str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
+    if let Some(other) = ["avi", "mkv", "mov", "mp4", "webm"].iter().find(says) {
+        return Err(format!(
+            "movies are GIF or APNG, expected a name ending in .gif or .apng, found .{other}"
+        ));
+    }
     if path.is_dir() || MovieForm::of(&path).is_some() { Ok(path) } else { parse_picture(text) }
 }
 
 /// A minute at 60 pictures a second.
 const MAX_PICTURES: i64 = 3600;
+/// Pictures of a turn in a movie that is asked for by its name alone: four seconds.
+const TURN_PICTURES: u32 = 4 * PICTURES_PER_SECOND;

@@ -187,6 +187,7 @@ const OF_SERVER: &[&str] = &[
     "level",
     "series",
     "region",
+    "flip",
     "spacing",
     "foreign_files",
     "stored_slices",

@@ -10,7 +10,7 @@ use crate::app::tests::window_walk::{
 
 /// A film of two channels, two levels and three series, of which another time is being read.
 fn give_parts(w: &mut Harness<'_, ViewerApp<HereSource>>) {
-    let shown = Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), region: None };
+    let shown = Part { channel: Some(0), time: Some(1), level: Some(0), series: Some(0), ..Part::default() };
     let mut talk = w.state().viewing.source().talk();
     talk.selection.handle_choices(Choices {
         shown,

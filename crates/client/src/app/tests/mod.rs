@@ -19,7 +19,7 @@ use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::Life;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Placement, Slice};
-use isinglass_core::wire::{ClientMessage, ScreenshotRequest, Token, VolumeDescription, Welcome};
+use isinglass_core::wire::{ClientMessage, Part, ScreenshotRequest, Token, VolumeDescription, Welcome};
 use isinglass_net::{LinkStats, ReceivedFrame, State, Talking};
 
 use super::*;
@@ -57,6 +57,8 @@ struct Here {
     num_probes: usize,
     num_shots: u32,
     num_cancelled: usize,
+    /// Parts that were requested.
+    selected: Vec<Part>,
     num_slice_lists: usize,
     /// Slices of the newest list.
     num_wanted_slices: usize,
@@ -86,6 +88,7 @@ impl HereSource {
             num_probes: 0,
             num_shots: 0,
             num_cancelled: 0,
+            selected: Vec::new(),
             num_slice_lists: 0,
             num_wanted_slices: 0,
             state: State::Connected,
@@ -123,6 +126,7 @@ impl HereSource {
                         session.screenshot.handle_png(shot.id, here.png(&shot));
                     }
                 }
+                ClientMessage::Select(part) => here.selected.push(part),
                 ClientMessage::CancelScreenshot => here.num_cancelled += 1,
                 ClientMessage::Follow(leader) => {
                     here.is_following = leader.is_some();
@@ -572,4 +576,5 @@ mod narrow;
 mod offline;
 mod slices;
 mod states;
+mod times;
 mod views;

@@ -229,7 +229,7 @@ fn a_copied_link_names_the_server_and_holds_no_token() {
 /// A file of two levels of which the first is shown, and a state of the other with another look.
 fn with_level_to_come() -> (Harness<'static, ViewerApp<HereSource>>, Choices) {
     let mut w = window([640.0, 480.0]);
-    let now = Part { channel: Some(0), time: Some(0), level: Some(0), series: Some(0), region: None };
+    let now = Part { channel: Some(0), time: Some(0), level: Some(0), series: Some(0), ..Part::default() };
     let parts = Choices {
         shown: now,
         whole_dims: [24; 3],

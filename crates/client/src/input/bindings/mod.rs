@@ -66,6 +66,8 @@ pub enum Action {
     Redo,
     /// Move by so many times in the server's file.
     StepTime(i32),
+    /// Play the times in the server's file, or stop.
+    Play,
     /// Show the start page.
     Start,
     /// Save the state of the view as a file.
@@ -330,8 +332,10 @@ impl Bindings {
                     let is_other = chord::means_nothing_in_text(*key, *modifiers);
                     !is_other && !matches!(action, Action::Quit | Action::CloseHelp)
                 }
-                // A control uses arrows itself.
-                Focus::Widget => matches!(action, Action::Step(_)),
+                // A control uses arrows itself, and the space bar presses it.
+                Focus::Widget => {
+                    matches!(action, Action::Step(_)) || (*key == Key::Space && modifiers.is_none())
+                }
                 Focus::Picture => false,
             };
             // A switch acts once while its key is held down.
@@ -492,6 +496,7 @@ const TABLE: &[Line] = &[
             ("next-time", Deed::Act(Action::StepTime(1)), &["]"]),
         ],
     ),
+    keys("play the times, stop", &[("play", Deed::Act(Action::Play), &["space"])]),
     keys("stereo: side by side, red-cyan, off", &[("stereo", Deed::Act(Action::Stereo), &["s"])]),
     keys("full screen", &[("full-screen", Deed::Act(Action::FullScreen), &["F11"])]),
     keys("numbers on or off", &[("numbers", Deed::Act(Action::Numbers), &["o"])]),

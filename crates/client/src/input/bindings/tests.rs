@@ -98,6 +98,12 @@ fn a_person_who_types_is_left_alone_and_a_control_has_its_arrows() {
     let mut events = vec![press(Key::ArrowLeft, None, NONE, false), press(Key::O, None, NONE, false)];
     assert_eq!((taken(&mut events, Focus::Widget), events.len()), (vec![Action::Numbers], 1));
     assert_eq!(taken(&mut events, Focus::Picture), [Action::Step(Step::Turn(-1, 0))]);
+    // The space bar presses the control that has the focus, and writes in a text.
+    let mut events = vec![press(Key::Space, None, NONE, false)];
+    for focus in [Focus::Widget, Focus::Text] {
+        assert_eq!((taken(&mut events, focus), events.len()), (vec![], 1), "{focus:?}");
+    }
+    assert_eq!((taken(&mut events, Focus::Picture), events.len()), (vec![Action::Play], 0));
 }
 
 #[test]

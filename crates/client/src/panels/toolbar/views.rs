@@ -38,6 +38,10 @@ impl Toolbar<'_> {
             self.item(ui, projection, Action::Projection, wish);
             self.item(ui, "Next kind of stereo", Action::Stereo, wish);
             ui.menu_button("Up", |ui| self.up_axes(ui, wish));
+            if let Some(flip) = self.flip {
+                let menu = ui.menu_button("Mirror", |ui| self.mirrors(ui, flip, wish));
+                menu.response.on_hover_text("where the file tells its directions wrongly");
+            }
             ui.separator();
             self.named_views(ui, wish);
         });
@@ -71,6 +75,19 @@ impl Toolbar<'_> {
             };
             if ui.selectable_label(axis == self.up, name).clicked() {
                 *wish = Some(ToolbarWish::TurnUp(axis));
+                ui.close();
+            }
+        }
+    }
+
+    /// A line for each axis along which the volume can be mirrored.
+    fn mirrors(&self, ui: &mut Ui, flip: [bool; 3], wish: &mut Option<ToolbarWish>) {
+        for axis in 0..3 {
+            let name = format!("Along {}", self.axes.axis_name(axis));
+            if ui.selectable_label(flip[axis], name).clicked() {
+                let mut flip = flip;
+                flip[axis] = !flip[axis];
+                *wish = Some(ToolbarWish::Mirror(flip));
                 ui.close();
             }
         }
