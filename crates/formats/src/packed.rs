@@ -109,7 +109,9 @@ pub(crate) fn open_zip(
         if let Some(parent) = target.parent() {
             fs::create_dir_all(parent).map_err(io_error(path))?;
         }
-        unpack(&mut stream, &target, &mut left, path, options)?;
+        // A plain stream goes on to the end of the archive.
+        let most = if packing == Packing::Plain { entry.packed_bytes } else { u64::MAX };
+        unpack(&mut Read::take(&mut stream, most), &target, &mut left, path, options)?;
         files.push(target);
     }
     let target = match &files[..] {
