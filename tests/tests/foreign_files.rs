@@ -241,3 +241,25 @@ fn twins_in_two_formats_are_one_picture() {
     // Negative control: other slices are another picture.
     assert_ne!(picture(part(100), "fluorescence"), expected);
 }
+
+/// Scans have many values, or noise, or soft edges. None of them is taken for labels.
+#[test]
+fn no_scan_is_taken_for_labels() {
+    let Some(folder) = data_dir() else { return };
+    let scans =
+        ["avm", "bonsai", "engine", "heptane", "mouse_brain", "t1_head"].map(|name| format!("{name}.nrrd"));
+    let foreign = ["tooth.nhdr", "LIDC2.mha", "aneurism.vti", "mouse_brain_downsampled.tiff"];
+    let foreign = foreign.map(|name| format!("foreign/{name}"));
+    for name in scans.iter().chain(&foreign) {
+        let volume = open_file(&folder.join(name), &OpenOptions::default());
+        assert!(!volume.info.are_labels, "{name}");
+    }
+    // The control: the same blocks of bone in a thresholded scan are labels.
+    let scan = open_file(&folder.join("bonsai.nrrd"), &OpenOptions::default());
+    let voxels = (0..scan.voxels().len()).map(|i| (scan.voxels().get(i) / 64.0).floor().min(2.0) as u8);
+    let header = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 256 256 256\nencoding: raw\n\n";
+    let file = tempfile::TempDir::new().unwrap();
+    let path = file.path().join("parts.nrrd");
+    std::fs::write(&path, [header.as_bytes(), &voxels.collect::<Vec<u8>>()].concat()).unwrap();
+    assert!(open_file(&path, &OpenOptions::default()).info.are_labels);
+}

@@ -165,9 +165,9 @@ impl Neighbours {
         let share = |[all, alike]: [u64; 2]| alike as f64 / all.max(1) as f64;
         let sum = others().fold([0, 0], |sum: [u64; 2], c| [sum[0] + c[0], sum[1] + c[1]]);
         let num_blocks = others().filter(|c| share(**c) >= LEAST_ALIKE).count();
-        // One value beside zero is a mask, which only 1 makes a label.
-        let has_several = num > 1 || self.values.contains_key(&1);
-        num > 0 && has_several && share(sum) >= LEAST_ALIKE_IN_ALL && num_blocks * 4 >= num * 3
+        // One value beside zero is a label, or the white of a mask.
+        let is_mask = num == 1 && WHITES.iter().any(|white| self.values.contains_key(white));
+        num > 0 && !is_mask && share(sum) >= LEAST_ALIKE_IN_ALL && num_blocks * 4 >= num * 3
     }
 
     /// Whether different values that meet are often not next to each other in the list of values.
@@ -199,6 +199,8 @@ const MANY_PLANES: usize = 48;
 const LEAST_ALIKE: f64 = 0.5;
 /// The same for all values but zero.
 const LEAST_ALIKE_IN_ALL: f64 = 0.6;
+/// The greatest number of a type, which masks have for white.
+const WHITES: [u32; 4] = [127, 255, 32_767, 65_535];
 /// So few values may all touch each other in their order.
 const FEW_VALUES: usize = 5;
 
@@ -238,6 +240,7 @@ mod tests {
         assert!(look_like_labels(&volume(parts)));
         assert!(look_like_labels(&volume(|at| [2.0, 1.0, 0.0][(radius(at) / 8.0).min(2.0) as usize])));
         assert!(look_like_labels(&volume(|at| f32::from(radius(at) < 9.0))));
+        assert!(look_like_labels(&volume(|at| 10.0 * f32::from(radius(at) < 9.0))));
         assert!(look_like_labels(&volume(|at| if (8.0..11.0).contains(&radius(at)) {
             7.0
         } else {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
-use isinglass_core::volume::{MAX_CHANNELS, Placement, Volume, Voxels};
+use isinglass_core::volume::{Placement, Volume, Voxels};
 use rayon::prelude::*;
 
 use crate::error::{FormatError, shown};
@@ -27,9 +27,8 @@ pub(crate) fn with_labels(
     let labels = open(source, &own)?;
     let path = Path::new(source);
     let bad = |problem: String| FormatError::Data { path: shown(path), problem };
-    let labels = on_grid(labels, &volume).map_err(bad)?;
+    let labels = on_grid(labels, &volume, options.selection.flip.0).map_err(bad)?;
     let mut others = volume.others().to_vec();
-    others.truncate(MAX_CHANNELS - 2);
     others.push(Arc::new(labels));
     volume.with_others(others).map_err(|cause| FormatError::Volume { path: shown(path), cause })
 }
@@ -57,20 +56,50 @@ fn of_labels<'a>(options: &OpenOptions<'a>, reading: &'a Reading) -> OpenOptions
     OpenOptions { raw: None, selection, spacing: None, reading, ..*options }
 }
 
-/// The labels at the voxels of `volume`, zero outside of their own grid.
-fn on_grid(labels: Volume, volume: &Volume) -> Result<Volume, String> {
-    let is_same_place = match (labels.info.placement, volume.info.placement) {
-        (Some(a), Some(b)) => is_near(&a, &b, volume),
-        _ => true,
+/// The labels at the voxels of `volume`, zero outside of their own grid. `flip` are the axes along which the volume is
+/// mirrored.
+fn on_grid(labels: Volume, volume: &Volume, flip: [bool; 3]) -> Result<Volume, String> {
+    let (mut first, mut columns) = match is_same_grid(&labels, volume) {
+        true => (DVec3::ZERO, DVec3::AXES),
+        false => index_map(&labels, volume)?,
     };
-    let near_spacing = (labels.spacing() - volume.spacing()).abs().max_element();
-    let has_same_grid = labels.dims() == volume.dims();
-    let is_placed = labels.info.placement.is_some() && volume.info.placement.is_some();
-    if has_same_grid && is_same_place && (!is_placed || near_spacing <= 1e-3 * volume.spacing().max_element())
-    {
-        let (voxels, map, info) = (labels.voxels().clone(), labels.value_map(), labels.info.clone());
-        return Volume::new(volume.dims(), volume.spacing(), voxels, map, info).map_err(|e| e.to_string());
+    for k in (0..3).filter(|&k| flip[k]) {
+        first += columns[k] * f64::from(volume.dims()[k] - 1);
+        columns[k] = -columns[k];
     }
+    let voxels = if (first, columns) == (DVec3::ZERO, DVec3::AXES) {
+        labels.voxels().clone()
+    } else {
+        resampled(&labels, volume.dims(), first, columns)
+    };
+    let none = zero(&labels);
+    let is_empty = match &voxels {
+        Voxels::U8(v) => v.par_iter().all(|n| f32::from(*n) == none),
+        Voxels::U16(v) => v.par_iter().all(|n| f32::from(*n) == none),
+        Voxels::F32(v) => v.par_iter().all(|n| *n == none),
+    };
+    if is_empty {
+        return Err("no label lies within the volume, expected some".into());
+    }
+    let (map, info) = (labels.value_map(), labels.info);
+    Volume::new(volume.dims(), volume.spacing(), voxels, map, info).map_err(|e| e.to_string())
+}
+
+/// Whether each label lies on a voxel. Without a position in both files, the number of voxels decides.
+fn is_same_grid(labels: &Volume, volume: &Volume) -> bool {
+    let has_same_steps = || {
+        let difference = (labels.spacing() - volume.spacing()).abs().max_element();
+        difference <= 1e-3 * volume.spacing().min_element()
+    };
+    labels.dims() == volume.dims()
+        && match (labels.info.placement, volume.info.placement) {
+            (Some(a), Some(b)) => has_same_steps() && is_near(&a, &b, volume),
+            _ => true,
+        }
+}
+
+/// The index of the label at the first voxel, and its change by one voxel along x, y and z, from both positions.
+fn index_map(labels: &Volume, volume: &Volume) -> Result<(DVec3, [DVec3; 3]), String> {
     let (Some(from), Some(to)) = (labels.info.placement, volume.info.placement) else {
         let ([a, b, c], [x, y, z]) = (labels.dims(), volume.dims());
         return Err(format!(
@@ -80,29 +109,16 @@ fn on_grid(labels: Volume, volume: &Volume) -> Result<Volume, String> {
     if labels.info.orientation != volume.info.orientation {
         return Err("the labels and the volume are in different spaces, expected the same".into());
     }
-    // The index of a label, from that of a voxel: its place in the world of the file, seen along the axes of the labels.
     let scale = unit_ratio(labels.info.unit.as_deref(), volume.info.unit.as_deref());
     let steps = volume.spacing().as_dvec3() * scale;
     let middle = |dims: [u32; 3]| DVec3::from(dims.map(|n| (f64::from(n) - 1.0) / 2.0));
-    let axes = |place: &Placement| place.axes.map(DVec3::from);
-    let (own_steps, own_axes) = (labels.spacing().as_dvec3(), axes(&from));
-    let index_from_place =
-        |place: DVec3| -> DVec3 { DVec3::from(own_axes.map(|axis| axis.dot(place))) / own_steps };
-    let columns: [DVec3; 3] = std::array::from_fn(|k| index_from_place(axes(&to)[k] * steps[k]));
+    let (own_steps, own_axes) = (labels.spacing().as_dvec3(), from.axes.map(DVec3::from));
+    let index_from_place = |place: DVec3| DVec3::from(own_axes.map(|axis| axis.dot(place))) / own_steps;
+    let columns: [DVec3; 3] = std::array::from_fn(|k| index_from_place(DVec3::from(to.axes[k]) * steps[k]));
     let start = DVec3::from(to.center) * scale - DVec3::from(from.center);
-    let first = index_from_place(start) + middle(labels.dims())
-        - middle(volume.dims()).to_array().iter().zip(columns).map(|(n, c)| c * *n).sum::<DVec3>();
-    let voxels = resampled(&labels, volume.dims(), first, columns);
-    let is_empty = match &voxels {
-        Voxels::U8(v) => v.par_iter().all(|n| *n == zero(&labels) as u8),
-        Voxels::U16(v) => v.par_iter().all(|n| *n == zero(&labels) as u16),
-        Voxels::F32(v) => v.par_iter().all(|n| *n == zero(&labels)),
-    };
-    if is_empty {
-        return Err("the labels lie beside the volume, expected some within it".into());
-    }
-    let (map, info) = (labels.value_map(), labels.info.clone());
-    Volume::new(volume.dims(), volume.spacing(), voxels, map, info).map_err(|e| e.to_string())
+    let half = middle(volume.dims()).to_array();
+    let to_first = half.into_iter().zip(columns).map(|(n, column)| column * n).sum::<DVec3>();
+    Ok((index_from_place(start) + middle(labels.dims()) - to_first, columns))
 }
 
 /// The stored number of no label.

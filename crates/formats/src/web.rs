@@ -21,7 +21,7 @@ pub(crate) struct WebFolder {
 
 /// What to get of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum WebPart {
+pub(crate) enum FilePart {
     Whole,
     /// So many bytes from an offset.
     At(u64, u64),
@@ -68,7 +68,7 @@ impl WebFolder {
     pub(crate) fn read(
         &self,
         path: &Path,
-        part: WebPart,
+        part: FilePart,
         most: u64,
     ) -> Result<Option<(Vec<u8>, u64)>, FormatError> {
         let bad = |problem: String| FormatError::Data { path: shown(path), problem };
@@ -86,13 +86,13 @@ impl WebFolder {
             _ => return Err(bad(format!("the server answers {status}, expected the file"))),
         }
         let wanted = match part {
-            WebPart::Whole => None,
-            WebPart::At(_, size) | WebPart::End(size) => Some(size),
+            FilePart::Whole => None,
+            FilePart::At(_, size) | FilePart::End(size) => Some(size),
         };
         if wanted.is_some_and(|size| size > most) {
             return Err(bad(format!("{} bytes, expected at most {most}", wanted.unwrap_or(0))));
         }
-        if part != WebPart::Whole && status != StatusCode::PARTIAL_CONTENT {
+        if part != FilePart::Whole && status != StatusCode::PARTIAL_CONTENT {
             return Err(bad("the server sends no parts of files, expected one that does".into()));
         }
         let whole = length_of(&answer);
@@ -113,17 +113,17 @@ impl WebFolder {
         Ok(Some((bytes, whole.unwrap_or(found))))
     }
 
-    fn request(&self, path: &Path, part: WebPart) -> Result<Response<Body>, ureq::Error> {
+    fn request(&self, path: &Path, part: FilePart) -> Result<Response<Body>, ureq::Error> {
         let inner = path.strip_prefix(&self.shown).unwrap_or(path);
         let names = inner.iter().map(|name| escaped(&name.to_string_lossy()));
         let address = std::iter::once(self.base.clone()).chain(names).collect::<Vec<_>>().join("/");
         let request = self.agent.get(&address);
         match part {
-            WebPart::Whole => request,
-            WebPart::At(at, size) => {
+            FilePart::Whole => request,
+            FilePart::At(at, size) => {
                 request.header("Range", format!("bytes={at}-{}", at.saturating_add(size).saturating_sub(1)))
             }
-            WebPart::End(size) => request.header("Range", format!("bytes=-{size}")),
+            FilePart::End(size) => request.header("Range", format!("bytes=-{size}")),
         }
         .call()
     }
@@ -198,7 +198,7 @@ mod tests {
         address
     }
 
-    fn got(answer: &'static [u8], part: WebPart, most: u64) -> Result<Option<(Vec<u8>, u64)>, String> {
+    fn got(answer: &'static [u8], part: FilePart, most: u64) -> Result<Option<(Vec<u8>, u64)>, String> {
         let address = server(answer);
         let folder = WebFolder::with_timeouts(&address, Duration::from_secs(5), Duration::from_millis(200));
         folder.read(&Path::new(&address).join("a b"), part, most).map_err(|e| e.to_string())
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn answers_are_bounded_in_time_and_size() {
-        let whole = |answer, most| got(answer, WebPart::Whole, most);
+        let whole = |answer, most| got(answer, FilePart::Whole, most);
         let good = b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\nhello";
         assert_eq!(whole(good, 5), Ok(Some((b"hello".to_vec(), 5))));
         let fails = |found: Result<_, String>, words: &str| {
@@ -229,11 +229,11 @@ mod tests {
     #[test]
     fn parts_are_those_that_were_asked_for() {
         let part = b"HTTP/1.1 206 Part\r\nContent-Length: 3\r\nContent-Range: bytes 2-4/17\r\n\r\nllo";
-        assert_eq!(got(part, WebPart::At(2, 3), 9), Ok(Some((b"llo".to_vec(), 17))));
-        assert!(got(part, WebPart::At(2, 4), 9).unwrap_err().contains("3 bytes, expected 4"));
-        assert!(got(part, WebPart::End(10), 9).unwrap_err().contains("expected at most 9"));
+        assert_eq!(got(part, FilePart::At(2, 3), 9), Ok(Some((b"llo".to_vec(), 17))));
+        assert!(got(part, FilePart::At(2, 4), 9).unwrap_err().contains("3 bytes, expected 4"));
+        assert!(got(part, FilePart::End(10), 9).unwrap_err().contains("expected at most 9"));
         let whole = b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\nhello";
-        assert!(got(whole, WebPart::At(2, 3), 9).unwrap_err().contains("sends no parts of files"));
+        assert!(got(whole, FilePart::At(2, 3), 9).unwrap_err().contains("sends no parts of files"));
     }
 
     #[test]

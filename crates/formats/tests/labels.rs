@@ -207,6 +207,14 @@ fn labels_lie_over_a_volume_where_their_places_are() {
     let fine = nrrd(folder, "fine.nrrd", &fine, &[1, 1, 2, 2, 3, 3, 4, 4]);
     let found = numbers(&opened(&scan, &over(&fine)).others()[0]);
     assert_eq!(found, [1.0, 2.0, 3.0, 4.0]);
+    // A volume that is mirrored has its labels mirrored.
+    for labels in [&same, &fine] {
+        let selection = Selection { flip: "x".parse().unwrap(), ..Selection::default() };
+        let options = OpenOptions { selection, reading: &over(labels), ..OpenOptions::default() };
+        let volume = open(scan.to_str().unwrap(), &options).unwrap();
+        let last = if *labels == fine { [4.0, 3.0] } else { [0.0, 3.0] };
+        assert_eq!((numbers(&volume)[0], &numbers(&volume.others()[0])[..2]), (80.0, &last[..]));
+    }
     // What it takes is said before.
     let (reading, source) = (over(&same), scan.to_str().unwrap());
     let bytes = |reading| {
@@ -225,7 +233,7 @@ fn labels_that_do_not_fit_are_refused_in_one_line() {
     let fits = nrrd(folder, "fits.nrrd", "dimension: 3\nsizes: 4 1 1", &[1, 2, 3, 4]);
     let missing = folder.join("none.nrrd");
     for (labels, words) in [
-        (&far, "the labels lie beside the volume, expected some within it"),
+        (&far, "no label lies within the volume, expected some"),
         (&plain, "labels of 5×1×1 voxels, expected 4×1×1 as in the volume, or a position in both files"),
         (&missing, "none.nrrd"),
     ] {

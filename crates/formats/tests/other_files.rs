@@ -234,6 +234,28 @@ fn archives_hold_files_or_folders() {
 }
 
 #[test]
+fn an_image_of_ome_zarr_may_be_in_an_archive() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("a.ozx");
+    let image =
+        br#"{"zarr_format": 3, "node_type": "group", "attributes": {"ome": {"version": "0.5", "multiscales":
+        [{"axes": [{"name": "z"}, {"name": "y"}, {"name": "x"}], "datasets": [{"path": "0",
+        "coordinateTransformations": [{"type": "scale", "scale": [3, 2, 1]}]}]}]}}}"#;
+    let array = br#"{"zarr_format": 3, "node_type": "array", "shape": [1, 2, 2], "data_type": "uint8", "fill_value": 0,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, 2, 2]}},
+        "chunk_key_encoding": {"name": "default"}, "codecs": [{"name": "bytes"}]}"#;
+    let all: &[(&str, &[u8])] = &[("zarr.json", image), ("0/zarr.json", array), ("0/c/0/0/0", &[1, 2, 3, 4])];
+    fs::write(&path, zip(all)).unwrap();
+    let volume = opened(&path);
+    assert_eq!((values(&volume), volume.spacing().to_array()), (vec![1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0]));
+    assert_eq!(volume.info.name, "a.ozx");
+    // A file of the image that is cut is told with the name of the archive.
+    fs::write(&path, zip(&[all[0], all[1], ("0/c/0/0/0", &[1, 2, 3])])).unwrap();
+    let e = refused(path.to_str().unwrap());
+    assert!(e.contains("a.ozx/0/c/0/0/0") && e.contains("it has 3 bytes, expected 4"), "{e}");
+}
+
+#[test]
 fn folders_of_pictures_leave_out_what_is_unlike() {
     let folder = TempDir::new().unwrap();
     let put = |name: &str, bytes: &[u8]| fs::write(folder.path().join(name), bytes).unwrap();
@@ -290,9 +312,9 @@ fn folders_and_places_are_told_apart() {
     assert!(e.contains("a folder of Git LFS pointers"), "{e}");
     put("empty/a.txt", b"hello");
     assert!(refused(folder.path().join("empty").to_str().unwrap()).contains("a folder without slices"));
-    for address in ["https://example.org/a.zarr", "s3://bucket/a.zarr"] {
+    for address in ["ftp://example.org/a.zarr", "gs://bucket/a.zarr"] {
         let e = refused(address);
-        assert!(e.starts_with(&format!("{address}: found an address, expected the path")), "{e}");
+        assert!(e.starts_with(&format!("{address}: found an address, expected a path")), "{e}");
     }
     assert!(refused("nowhere/a.nrrd").contains("No such file"));
     // A missing file of voxels is told with the name of its header.

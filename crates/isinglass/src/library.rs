@@ -40,8 +40,12 @@ impl FileLoader {
 
     /// The header of a part, if there is room for it beside the `held` bytes.
     pub(crate) fn outline(&self, selection: Selection, held: u64) -> Result<Outline, String> {
-        let options =
-            OpenOptions { max_bytes: self.request.max_bytes.saturating_sub(held), ..self.options(selection) };
+        // What is held changes the level that is chosen, but never whether channels are shown together.
+        let max_bytes = match selection.level {
+            Some(_) => self.request.max_bytes,
+            None => self.request.max_bytes.saturating_sub(held),
+        };
+        let options = OpenOptions { max_bytes, ..self.options(selection) };
         let found = match outline(&self.request.source, &options) {
             // The error must tell everything that it needs, not only the needs of reading.
             Err(FormatError::TooLarge { .. }) => {

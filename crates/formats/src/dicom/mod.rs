@@ -212,8 +212,10 @@ impl DicomFiles {
         plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
         // Slices may have windows of their own. That in the middle of the stack stands for all.
         let window = frames.get(num_slices / 2).and_then(|frame| frame.window);
-        let window = window.filter(|_| shape.samples == 1 && !shape.is_inverted);
-        plan.channel_looks = vec![ChannelLook { window, ..ChannelLook::default() }];
+        if shape.samples == 1 {
+            let window = window.filter(|_| !shape.is_inverted);
+            plan.channel_looks = vec![ChannelLook { window, ..ChannelLook::default() }];
+        }
         if shape.samples == 3 {
             plan.set_colors();
         }

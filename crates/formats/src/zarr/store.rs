@@ -18,7 +18,7 @@ pub(super) enum Store {
     Web(WebFolder, ThreadPool),
 }
 
-pub(super) use crate::web::WebPart as Part;
+pub(super) use crate::web::FilePart as Part;
 
 impl Store {
     /// The folder `path`, whose links may not lead outside.

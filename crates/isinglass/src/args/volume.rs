@@ -22,7 +22,7 @@ use crate::memory::MemoryArgs;
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
     /// A file or folder, also in gzip or ZIP: DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH,
-    /// NumPy or PNG. A raw file needs --dims and --dtype. Built in are builtin:cloud, builtin:cubus and
+    /// NumPy or PNG. OME-Zarr may be at http://, https:// or s3://. A raw file needs --dims and --dtype. Built in are builtin:cloud, builtin:cubus and
     /// builtin:shells, with @N for N voxels a side
     #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>, value_parser = any_text())]
     pub(crate) volume: Option<String>,
@@ -132,7 +132,7 @@ fn show_progress<T>(outline: &Outline, read: impl FnOnce(&dyn Fn(f32)) -> T) -> 
 #[derive(Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Choices of a file")]
 pub(crate) struct PartArgs {
-    /// Channel, component or array of the file, from 0
+    /// Channel, component or array of the file, from 0 [default: all that can be shown together]
     #[arg(long, value_name = "N")]
     channel: Option<u32>,
     /// Point in time, from 0
