@@ -1,7 +1,9 @@
 // The march through a volume: steps along a ray, classified and shaded, handed to sink_step. Twin of
 // crates/core/src/kernels/march.rs; the derivations are there.
 //
-// Parts after this one define what matter sends to the eye (march/matte.wgsl or glossy.wgsl), what the mode makes of two
+// Parts after this one define a sample (march/one.wgsl or mixed.wgsl):
+//   At, fn at_point(p: vec3f) -> At
+// what matter sends to the eye (march/matte.wgsl or glossy.wgsl), what the mode makes of two
 // neighbouring samples (the other march/*.wgsl), and what becomes of the steps:
 //   fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f
 //   fn take(between: Between) -> u32
@@ -14,9 +16,10 @@
 //   fn is_beaten(brick: u32) -> bool
 
 @group(0) @binding(0) var<uniform> scene: Scene;
-@group(0) @binding(1) var<storage, read> table: TransferTable;
+// One for each channel that is marched.
+@group(0) @binding(1) var<storage, read> tables: array<TransferTable>;
 @group(0) @binding(2) var<storage, read> occupancy: array<u32>;
-// Binding 3 are the voxels.
+// Binding 3 are the voxels, and those from 5 on the voxels of more channels.
 @group(0) @binding(4) var lit: texture_3d<u32>;
 
 // Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n. No steps if the ray misses.
@@ -41,10 +44,10 @@ struct Step {
     alpha: f32,
 }
 
-// Two neighbouring samples of a march: positions in the domain, and world distances.
+// Two neighbouring samples of a march, and their world distances.
 struct Between {
-    x0: f32,
-    x1: f32,
+    x0: At,
+    x1: At,
     s0: f32,
     s1: f32,
     // Of the ray in voxel space.
@@ -151,8 +154,8 @@ fn march(ray: Ray, lattice: Lattice) {
     let skipper = skipper_new(origin, dir, lattice);
     var i = 0u;
     var stride = 1u;
-    // Position x in the domain of the last sample, if it was lattice point i.
-    var x_front = 0.0;
+    // The last sample, if it was lattice point i.
+    var x_front = At();
     var has_x_front = false;
     while (i < n) {
         let visible = skip(skipper, i, stride);
@@ -166,11 +169,11 @@ fn march(ray: Ray, lattice: Lattice) {
         let s_front = s0 + f32(i) * h;
         var x0 = x_front;
         if (!has_x_front) {
-            x0 = domain_at(origin + dir * s_front);
+            x0 = at_point(origin + dir * s_front);
         }
         let next = min(i + stride, n);
         let s_back = s0 + f32(next) * h;
-        let x1 = domain_at(origin + dir * s_back);
+        let x1 = at_point(origin + dir * s_back);
         let pace = take(Between(x0, x1, s_front, s_back, origin, dir, lattice));
         if (pace == 0u) {
             break;
@@ -183,19 +186,20 @@ fn march(ray: Ray, lattice: Lattice) {
     end_march(lattice);
 }
 
-// Colour (not premultiplied) and, in w, optical depth of a step of length h between the domain positions x0, x1.
-fn classify(x0: f32, x1: f32, h: f32) -> vec4f {
+// Colour (not premultiplied) and, in w, optical depth of a step of length h between the domain positions x0, x1 of a
+// channel.
+fn classify(channel: u32, x0: f32, x1: f32, h: f32) -> vec4f {
     let dx = x1 - x0;
     if (abs(dx) < 0.5 / f32(TABLE_BINS)) {
-        let m = lookup_density(0.5 * (x0 + x1));
+        let m = lookup_density(channel, 0.5 * (x0 + x1));
         let sigma = m.w;
         if (sigma <= 0.0) {
             return vec4f(0.0);
         }
         return vec4f(m.xyz / sigma, sigma * h);
     }
-    let a = lookup_integral(x0);
-    let b = lookup_integral(x1);
+    let a = lookup_integral(channel, x0);
+    let b = lookup_integral(channel, x1);
     let d_t = b.w - a.w;
     if (d_t == 0.0) {
         return vec4f(0.0);
@@ -244,18 +248,18 @@ fn l(c: vec3i, dx: i32, dy: i32, dz: i32) -> f32 {
 }
 
 // Linear interpolation in a table over [0, 1].
-fn lookup_density(x: f32) -> vec4f {
+fn lookup_density(channel: u32, x: f32) -> vec4f {
     let u = x * f32(TABLE_BINS);
     let i = min(u32(u), TABLE_BINS - 1u);
-    let a = table.density[i];
-    return a + (table.density[i + 1u] - a) * (u - f32(i));
+    let a = tables[channel].density[i];
+    return a + (tables[channel].density[i + 1u] - a) * (u - f32(i));
 }
 
-fn lookup_integral(x: f32) -> vec4f {
+fn lookup_integral(channel: u32, x: f32) -> vec4f {
     let u = x * f32(TABLE_BINS);
     let i = min(u32(u), TABLE_BINS - 1u);
-    let a = table.integral[i];
-    return a + (table.integral[i + 1u] - a) * (u - f32(i));
+    let a = tables[channel].integral[i];
+    return a + (tables[channel].integral[i + 1u] - a) * (u - f32(i));
 }
 
 // a + (b − a)·t, in this form: the built-in mix may be evaluated in another.

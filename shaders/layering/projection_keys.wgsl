@@ -14,7 +14,7 @@ fn push_piece(piece: Piece) {
     if (piece.peak > greatest) {
         greatest = piece.peak;
         holder = out.len;
-    } else if (key <= table.key_limit) {
+    } else if (key <= tables[0].key_limit) {
         // It neither shows nor hides anything.
         return;
     }

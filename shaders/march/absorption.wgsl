@@ -1,7 +1,7 @@
 // Emission and absorption. Twin of `take` in crates/core/src/kernels/march/modes.rs.
 
 fn take(between: Between) -> u32 {
-    let classified = classify(between.x0, between.x1, between.s1 - between.s0);
+    let classified = classify(0u, between.x0, between.x1, between.s1 - between.s0);
     let tau = classified.w;
     if (tau <= TAU_MIN) {
         return NO_STEP;

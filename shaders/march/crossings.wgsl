@@ -5,10 +5,10 @@
 fn take(between: Between) -> u32 {
     var pace = NO_STEP;
     let to_greater = between.x1 > between.x0;
-    let num = table.num_surfaces;
+    let num = tables[0].num_surfaces;
     var last = between.s0;
     for (var n = 0u; n < num; n++) {
-        let surface = table.surfaces[select(num - 1u - n, n, to_greater)];
+        let surface = tables[0].surfaces[select(num - 1u - n, n, to_greater)];
         let is_before = between.x0 < surface.x;
         if (is_before == (between.x1 < surface.x)) {
             continue;

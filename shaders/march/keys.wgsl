@@ -6,7 +6,7 @@ fn take(between: Between) -> u32 {
     let y0 = key_of(between.x0);
     let y1 = key_of(between.x1);
     let peak = max(y0, y1);
-    if (peak <= table.key_limit) {
+    if (peak <= tables[0].key_limit) {
         return NO_STEP;
     }
     let square = (y0 * y0 + y0 * y1 + y1 * y1) * (1.0 / 3.0);
@@ -23,7 +23,7 @@ fn key_of(x: f32) -> f32 {
 
 // Linear colour that is shown of a key.
 fn shown_of_key(key: f32) -> vec3f {
-    return lookup_density(key_of(clamp(key, 0.0, 1.0))).xyz;
+    return lookup_density(0u, key_of(clamp(key, 0.0, 1.0))).xyz;
 }
 
 fn end_march(lattice: Lattice) {

@@ -1,7 +1,7 @@
 // The integral of what is shown. Twin of `take` in crates/core/src/kernels/march/modes.rs.
 
 fn take(between: Between) -> u32 {
-    let classified = classify(between.x0, between.x1, between.s1 - between.s0);
+    let classified = classify(0u, between.x0, between.x1, between.s1 - between.s0);
     if (classified.w <= 0.0) {
         return NO_STEP;
     }

@@ -13,7 +13,7 @@ var<private> pending: Pending;
 
 fn crossing(step: Step, to_greater: bool, lattice: Lattice) -> u32 {
     let place = step.s0;
-    let enters = to_greater != (table.has_lesser_bodies != 0u);
+    let enters = to_greater != (tables[0].has_lesser_bodies != 0u);
     let thickness = THICKNESS_IN_VOXELS * voxel_length();
     let reach = select(thickness, UNBOUNDED, step.tau > OPAQUE_TAU);
     var pace = 1u;

@@ -57,6 +57,9 @@ struct TransferTable {
     key_limit: f32,
     // Whether surfaces enclose matter of lesser values.
     has_lesser_bodies: u32,
+    // Maps stored numbers to positions.
+    x_scale: f32,
+    x_offset: f32,
 }
 
 // core::kernels::march::modes::Surface.

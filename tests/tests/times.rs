@@ -104,7 +104,11 @@ impl Loader for Film {
                 }
             }
         }
-        Ok(Loaded { volume: self.read(part), transfer: load_transfer("smooth").unwrap() })
+        Ok(Loaded {
+            volume: self.read(part),
+            transfer: load_transfer("smooth").unwrap(),
+            channels: Default::default(),
+        })
     }
 }
 

@@ -11,6 +11,7 @@ mod simd;
 
 pub mod camera;
 pub mod cancel;
+pub mod channels;
 pub mod clip;
 pub mod codec;
 pub mod ids;

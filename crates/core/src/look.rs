@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::channels::{Channels, ChannelsError};
 use crate::clip::{Clip, ClipError};
 use crate::kernels::march::MarchSettings;
 use crate::layer::MAX_K;
@@ -29,6 +30,9 @@ pub struct Look {
     /// The surfaces of [`Mode::Iso`].
     #[serde(default)]
     pub isos: Isos,
+    /// What of the channels is shown, and the looks of all but the first.
+    #[serde(default)]
+    pub channels: Channels,
 }
 
 /// Why a look cannot be used.
@@ -51,6 +55,9 @@ pub enum LookError {
     /// The light is not valid.
     #[error(transparent)]
     Lighting(#[from] LightingError),
+    /// The looks of the channels are not valid.
+    #[error(transparent)]
+    Channels(#[from] ChannelsError),
 }
 
 impl Look {
@@ -58,7 +65,8 @@ impl Look {
     pub fn new(transfer: TransferFunction) -> Self {
         let (lighting, clip) = (Lighting::default(), Clip::default());
         let (mode, isos) = (Mode::default(), Isos::default());
-        Self { transfer, shaded: true, lighting, k: DEFAULT_K, clip, mode, isos }
+        let channels = Channels::default();
+        Self { transfer, shaded: true, lighting, k: DEFAULT_K, clip, mode, isos, channels }
     }
 
     /// Checks what the type cannot express.
@@ -75,7 +83,25 @@ impl Look {
         }
         self.clip.validate()?;
         self.lighting.validate()?;
+        self.channels.validate(MAX_NAME_BYTES)?;
         Ok(self.transfer.validate()?)
+    }
+
+    /// The transfer function of a channel, from 0; that of the first for a channel without a look.
+    pub fn transfer_of(&self, channel: u8) -> &TransferFunction {
+        let other = usize::from(channel).checked_sub(1).and_then(|other| self.channels.others.get(other));
+        other.map_or(&self.transfer, |other| &other.transfer)
+    }
+
+    /// The same to change it.
+    pub fn transfer_of_mut(&mut self, channel: u8) -> &mut TransferFunction {
+        let other = usize::from(channel).checked_sub(1).and_then(|i| self.channels.others.get_mut(i));
+        other.map_or(&mut self.transfer, |other| &mut other.transfer)
+    }
+
+    /// The transfer function of the chosen channel.
+    pub fn chosen_transfer(&self) -> &TransferFunction {
+        self.transfer_of(self.channels.chosen)
     }
 
     /// Whether both march a volume alike, so that they differ at most in the length of lists.

@@ -193,7 +193,29 @@ pub(crate) fn integrated(medium: impl Fn(f32) -> [f64; 4], x_map: (f32, f32)) ->
         integral.push(to_f32(sum));
         density.push(to_f32(medium((bin + 1) as f32 / TABLE_BINS as f32)));
     }
-    TransferTable { integral, density, x_scale: x_map.0, x_offset: x_map.1 }
+    TransferTable { integral, density, x_scale: x_map.0, x_offset: x_map.1, are_labels: false }
+}
+
+/// The table of labels: node n holds the matter of label n, with no label between two nodes. `color` gives the linear
+/// colour of a label, or `None` if it is not shown. All have the same `opacity` per `unit_length`, world units. A
+/// stored number s means the label s·`value_map.0` + `value_map.1`.
+pub fn label_table(
+    color: impl Fn(u16) -> Option<[f32; 3]>,
+    opacity: f32,
+    unit_length: f32,
+    value_map: (f32, f32),
+) -> TransferTable {
+    let sigma = -f64::from(1.0 - opacity.clamp(0.0, MAX_OPACITY)).ln() / f64::from(unit_length);
+    let sigma = sigma.min(MAX_EXTINCTION) as f32;
+    let mut density = vec![[0.0; 4]; TABLE_BINS + 1];
+    for (label, node) in (0..LABEL_NODES as u16).zip(&mut density).skip(1) {
+        if let Some(c) = color(label) {
+            *node = [c[0] * sigma, c[1] * sigma, c[2] * sigma, sigma];
+        }
+    }
+    let unit = 1.0 / TABLE_BINS as f32;
+    let (x_scale, x_offset) = (value_map.0 * unit, value_map.1 * unit);
+    TransferTable { integral: vec![[0.0; 4]; TABLE_BINS + 1], density, x_scale, x_offset, are_labels: true }
 }
 
 /// A transfer function prepared for one volume: [`TABLE_BINS`] + 1 nodes over x in [0, 1]. A stored number has the
@@ -208,6 +230,8 @@ pub struct TransferTable {
     pub x_scale: f32,
     /// Maps stored numbers to x, with `x_scale` and `x_offset`.
     pub x_offset: f32,
+    /// Whether the nodes are labels ([`label_table`]), which are never interpolated.
+    pub are_labels: bool,
 }
 
 impl TransferTable {
@@ -219,9 +243,31 @@ impl TransferTable {
         self
     }
 
+    /// The node of a stored label. Labels of [`LABEL_NODES`] and more share the nodes from 1 on.
+    pub fn label_node(&self, stored: f32) -> usize {
+        let label = ((stored * self.x_scale + self.x_offset) * TABLE_BINS as f32 + 0.5).max(0.0) as u32;
+        if label == 0 { 0 } else { ((label - 1) % (LABEL_NODES as u32 - 1) + 1) as usize }
+    }
+
+    /// The extinction of a stored number, 1/world unit.
+    pub fn extinction_of(&self, stored: f32) -> f32 {
+        if self.are_labels {
+            return self.density[self.label_node(stored)][3];
+        }
+        // `clamp` would pass NaN on, which numbers of the greatest domains may become.
+        let x = stored * self.x_scale + self.x_offset;
+        let u = if x > 0.0 { x.min(1.0) } else { 0.0 } * TABLE_BINS as f32;
+        let i = (u as usize).min(TABLE_BINS - 1);
+        let (a, b) = (self.density[i][3], self.density[i + 1][3]);
+        a + (b - a) * (u - i as f32)
+    }
+
     /// Whether a sample between the stored numbers `lo` and `hi` can have any extinction; it errs on the side of yes.
     pub fn is_visible(&self, lo: f32, hi: f32) -> bool {
         let (a, b) = self.positions(lo, hi);
+        if self.are_labels && b >= 1.0 {
+            return self.has_any(0.0, 1.0);
+        }
         self.has_any(a.clamp(0.0, 1.0), b.clamp(0.0, 1.0))
     }
 
@@ -241,6 +287,8 @@ impl TransferTable {
 
 /// Bins of a table.
 pub const TABLE_BINS: usize = 1024;
+/// Labels with a node of their own, from 0 on.
+pub const LABEL_NODES: usize = 1024;
 /// Largest number of control points.
 pub const MAX_POINTS: usize = 256;
 /// An opacity of one has no finite extinction, so it counts as this.

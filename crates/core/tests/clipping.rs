@@ -126,6 +126,7 @@ fn half_a_sphere_is_the_closed_form() {
         integral: (0..=TABLE_BINS).map(|i| [x(i) * x(i); 4]).collect(),
         x_scale: 0.5,
         x_offset: 0.0,
+        are_labels: false,
     };
     scene.occupancy = scene.bricks.occupancy(&scene.table);
     let bounds = scene.volume.bounds();

@@ -23,6 +23,7 @@ fn identity_table(sigma_max: f32) -> TransferTable {
         integral: (0..=TABLE_BINS).map(|i| [sigma_max * 0.5 * x(i) * x(i); 4]).collect(),
         x_scale: 1.0 / sigma_max,
         x_offset: 0.0,
+        are_labels: false,
     }
 }
 

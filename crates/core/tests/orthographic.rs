@@ -59,6 +59,7 @@ fn a_constant_medium_is_as_opaque_as_its_chords_are_long() {
         integral: (0..=TABLE_BINS).map(|i| [x(i) * x(i); 4]).collect(),
         x_scale: 0.5,
         x_offset: 0.0,
+        are_labels: false,
     };
     scene.occupancy = scene.bricks.occupancy(&scene.table);
     let bounds = scene.volume.bounds();

@@ -13,6 +13,7 @@
 
 mod alike;
 mod axes;
+mod channel_looks;
 mod collector;
 mod content;
 mod decode;
@@ -64,6 +65,7 @@ mod xml;
 mod zarr;
 mod zip;
 
+pub use channel_looks::default_channels;
 pub use content::{Content, content_of};
 pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};

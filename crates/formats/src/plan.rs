@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use isinglass_core::volume::{Volume, VolumeInfo, VolumeLabel};
+use isinglass_core::volume::{ChannelInfo, Volume, VolumeInfo, VolumeLabel};
 
 use crate::axes::{Geometry, Grid};
 use crate::collector::Collector;
@@ -301,9 +301,9 @@ pub(crate) fn read_volume(
         modality: plan.modality.clone(),
         value_unit: plan.value_unit.clone(),
         window: plan.windows.get(chosen.channel as usize).copied().flatten().and_then(window),
+        are_labels: !plan.labels.is_empty(),
         labels: plan.labels.clone(),
-        are_labels: false,
-        channel: Default::default(),
+        channel: ChannelInfo::default(),
         warnings: warnings.into_iter().map(|w| w.text).collect(),
     };
     let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));

@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
+use isinglass_core::channels::Channels;
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
 
+use crate::channel_looks::default_channels;
 use crate::error::FormatError;
 use crate::presets::default_transfer;
 use crate::source::{OpenOptions, open};
@@ -16,8 +18,10 @@ use crate::transfer::load_transfer;
 pub struct OpenedScene {
     /// Volume, table and settings.
     pub scene: Scene,
-    /// The transfer function.
+    /// The transfer function of the first channel.
     pub transfer: TransferFunction,
+    /// The looks of the channels.
+    pub channels: Channels,
 }
 
 /// Opens a volume with the transfer function that is asked for (a preset's name or a file), or else the one that
@@ -61,7 +65,9 @@ fn ready(
         Some(transfer) => transfer,
         None => default_transfer(source, &volume, &Histogram::of(&volume)),
     };
-    OpenedScene { scene: Scene::new(volume, &transfer, settings), transfer }
+    let channels = default_channels(&volume);
+    let scene = Scene::with_channels(volume, &transfer, channels.clone(), settings);
+    OpenedScene { scene, transfer, channels }
 }
 
 #[cfg(test)]

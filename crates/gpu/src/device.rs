@@ -9,7 +9,7 @@ use wgpu::{BindingType, BufferBindingType, ShaderStages, TextureSampleType, Text
 use crate::error::{GpuError, one_line, scoped};
 use crate::gpu_types::Band;
 use crate::pass_clock::PassClock;
-use crate::shaders::{Frames, Kernel, TexelKind};
+use crate::shaders::{Frames, Kernel, MarchPurpose, TexelKind};
 
 /// Facts about a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,9 +51,6 @@ struct Shared {
 
 /// The bind group layouts of the compute kernels.
 pub(crate) struct Layouts {
-    /// Group 0 of the marching kernels over integer and over float voxels.
-    pub(crate) scene_uint: wgpu::BindGroupLayout,
-    pub(crate) scene_float: wgpu::BindGroupLayout,
     /// Group 1 of `render` and `raycast`.
     pub(crate) picture: wgpu::BindGroupLayout,
     /// Group 1 of `generate`.
@@ -205,8 +202,12 @@ impl Gpu {
     fn compile(&self, kernel: Kernel, entry: &'static str) -> wgpu::ComputePipeline {
         let layouts = self.layouts();
         let groups: &[Option<&wgpu::BindGroupLayout>] = match kernel {
-            Kernel::Render(purpose, _) => &[Some(layouts.scene(purpose.kind)), Some(&layouts.picture)],
-            Kernel::Generate(purpose) => &[Some(layouts.scene(purpose.kind)), Some(&layouts.generate)],
+            Kernel::Render(purpose, _) => {
+                &[Some(&scene_layout(self.device(), purpose)), Some(&layouts.picture)]
+            }
+            Kernel::Generate(purpose) => {
+                &[Some(&scene_layout(self.device(), purpose)), Some(&layouts.generate)]
+            }
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
             // Owners make their pipelines of vertices and fragments.
@@ -269,18 +270,7 @@ impl Gpu {
 impl Layouts {
     fn new(device: &wgpu::Device) -> Self {
         let compute = ShaderStages::COMPUTE;
-        let scene = |sample_type| {
-            let texels = |sample_type| BindingType::Texture {
-                sample_type,
-                view_dimension: TextureViewDimension::D3,
-                multisampled: false,
-            };
-            let (voxels, lit) = (texels(sample_type), texels(TextureSampleType::Uint));
-            layout(device, "scene", compute, &[UNIFORM, READ, READ, voxels, lit])
-        };
         Self {
-            scene_uint: scene(TextureSampleType::Uint),
-            scene_float: scene(TextureSampleType::Float { filterable: false }),
             picture: layout(device, "picture", compute, &[UNIFORM, UNIFORM, WRITE]),
             generate: layout(device, "generate", compute, &[UNIFORM, UNIFORM, WRITE, WRITE, WRITE]),
             compact: layout(
@@ -293,13 +283,22 @@ impl Layouts {
             empty_space: layout(device, "empty space", compute, &EMPTY_SPACE),
         }
     }
+}
 
-    pub(crate) fn scene(&self, kind: TexelKind) -> &wgpu::BindGroupLayout {
-        match kind {
-            TexelKind::Uint => &self.scene_uint,
-            TexelKind::Float => &self.scene_float,
-        }
-    }
+/// Group 0 of the marching kernels: uniform, tables, occupancy, voxels, shares of light, and voxels of more channels.
+pub(crate) fn scene_layout(device: &wgpu::Device, purpose: MarchPurpose) -> wgpu::BindGroupLayout {
+    let texels = |kind: TexelKind| BindingType::Texture {
+        sample_type: match kind {
+            TexelKind::Uint => TextureSampleType::Uint,
+            TexelKind::Float => TextureSampleType::Float { filterable: false },
+        },
+        view_dimension: TextureViewDimension::D3,
+        multisampled: false,
+    };
+    let mut types = vec![UNIFORM, READ, READ];
+    types.extend(purpose.kinds().into_iter().map(texels));
+    types.insert(4, texels(TexelKind::Uint));
+    layout(device, "scene", ShaderStages::COMPUTE, &types)
 }
 
 /// These limits with buffers as large as a frame needs and the adapter offers.

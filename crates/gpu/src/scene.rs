@@ -3,24 +3,27 @@
 use std::sync::Arc;
 
 use glam::Vec3;
+use isinglass_core::channels::Blend;
 use isinglass_core::kernels::march;
 use isinglass_core::kernels::march::modes::{Surface, key_limit};
 use isinglass_core::mode::MAX_ISOS;
+use isinglass_core::transfer::TransferTable;
 use isinglass_core::volume::{Lit, Occupancy, Volume, Voxels};
 
-use crate::device::{Gpu, bind};
+use crate::device::{Gpu, bind, scene_layout};
 use crate::error::GpuError;
 use crate::gpu_types;
-use crate::shaders::{MarchPurpose, TexelKind};
+use crate::shaders::{MarchPurpose, MixedPurpose, TexelKind};
 
 /// An uploaded scene. A new look rewrites two small buffers, and a texture if the light changes; the voxels stay.
 pub(crate) struct SceneOnGpu {
-    volume: Arc<Volume>,
+    /// The volume whose channels are uploaded when a look first shows them.
+    whole: Arc<Volume>,
+    uploaded: Vec<(Arc<Volume>, wgpu::Texture)>,
     lit: Option<Arc<Lit>>,
-    voxels: wgpu::Texture,
     shares: wgpu::Texture,
     uniform: wgpu::Buffer,
-    table: wgpu::Buffer,
+    tables: wgpu::Buffer,
     occupancy: wgpu::Buffer,
     /// What the kernels must do.
     pub(crate) purpose: MarchPurpose,
@@ -33,28 +36,26 @@ pub(crate) struct SceneOnGpu {
 impl SceneOnGpu {
     pub(crate) fn new(gpu: &Gpu, scene: &march::Scene) -> Result<Self, GpuError> {
         gpu.attempt("uploading the volume", || {
-            let (kind, voxels) = upload_volume(gpu, &scene.volume)?;
+            let uploaded = upload_channels(gpu, scene, &[])?;
             let shares = upload_lit(gpu, scene, None)?;
-            let table_bytes = table_words(scene).len() as u64 * 4;
             let occupancy_bytes = scene.occupancy.words.len() as u64 * 8;
             gpu.check_binding("occupancy in bytes", occupancy_bytes)?;
             let uniform = gpu.uniform::<gpu_types::Scene>("scene");
-            let table = gpu.storage("table", table_bytes);
+            let tables = gpu.storage("tables", tables_words(scene).len() as u64 * 4);
             let occupancy = gpu.storage("occupancy", occupancy_bytes);
-            let bind_group = bind_scene(gpu, kind, [&uniform, &table, &occupancy], [&voxels, &shares]);
-            let volume = Arc::clone(&scene.volume);
-            let lit = scene.illumination.lit().cloned();
-            let (purpose, max_steps) = (purpose(kind, scene), scene.max_steps());
+            let purpose = purpose(scene);
+            let bind_group =
+                bind_scene(gpu, purpose, scene, [&uniform, &tables, &occupancy], &uploaded, &shares);
             let on_gpu = Self {
-                volume,
-                lit,
-                voxels,
+                whole: scene.whole().clone(),
+                uploaded,
+                lit: scene.illumination.lit().cloned(),
                 shares,
                 uniform,
-                table,
+                tables,
                 occupancy,
                 purpose,
-                max_steps,
+                max_steps: scene.max_steps(),
                 bind_group,
             };
             on_gpu.write_look(gpu, scene);
@@ -64,7 +65,7 @@ impl SceneOnGpu {
 
     /// Replaces the scene; unchanged voxels are not uploaded again.
     pub(crate) fn set(&mut self, gpu: &Gpu, scene: &march::Scene) -> Result<(), GpuError> {
-        if !Arc::ptr_eq(&self.volume, &scene.volume) {
+        if !Arc::ptr_eq(&self.whole, scene.whole()) {
             *self = Self::new(gpu, scene)?;
             return Ok(());
         }
@@ -75,11 +76,21 @@ impl SceneOnGpu {
             };
             if !is_lit_alike {
                 self.shares = upload_lit(gpu, scene, Some(&self.shares))?;
-                let buffers = [&self.uniform, &self.table, &self.occupancy];
-                self.bind_group = bind_scene(gpu, self.purpose.kind, buffers, [&self.voxels, &self.shares]);
                 self.lit = scene.illumination.lit().cloned();
             }
-            (self.purpose, self.max_steps) = (purpose(self.purpose.kind, scene), scene.max_steps());
+            let num_uploaded = self.uploaded.len();
+            self.uploaded.extend(upload_channels(gpu, scene, &self.uploaded)?);
+            let size = tables_words(scene).len() as u64 * 4;
+            if self.tables.size() < size {
+                self.tables = gpu.storage("tables", size);
+            }
+            let purpose = purpose(scene);
+            let is_mixed = purpose.mixed.is_some() || self.purpose.mixed.is_some();
+            if !is_lit_alike || self.uploaded.len() != num_uploaded || is_mixed || purpose != self.purpose {
+                let buffers = [&self.uniform, &self.tables, &self.occupancy];
+                self.bind_group = bind_scene(gpu, purpose, scene, buffers, &self.uploaded, &self.shares);
+            }
+            (self.purpose, self.max_steps) = (purpose, scene.max_steps());
             self.write_look(gpu, scene);
             Ok(())
         })
@@ -88,7 +99,7 @@ impl SceneOnGpu {
     fn write_look(&self, gpu: &Gpu, scene: &march::Scene) {
         let uniform = gpu_types::Scene::of(scene);
         gpu.queue().write_buffer(&self.uniform, 0, bytemuck::bytes_of(&uniform));
-        gpu.queue().write_buffer(&self.table, 0, bytemuck::cast_slice(&table_words(scene)));
+        gpu.queue().write_buffer(&self.tables, 0, bytemuck::cast_slice(&tables_words(scene)));
         let Occupancy { words, peaks, .. } = &scene.occupancy;
         gpu.queue().write_buffer(&self.occupancy, 0, bytemuck::cast_slice(words));
         // Without peaks, every brick may hold the greatest key.
@@ -98,57 +109,93 @@ impl SceneOnGpu {
     }
 }
 
-fn purpose(kind: TexelKind, scene: &march::Scene) -> MarchPurpose {
-    MarchPurpose { kind, mode: scene.settings.mode, is_glossy: scene.highlight().is_some() }
+/// The channels that are marched together, with their tables.
+fn marched(scene: &march::Scene) -> impl Iterator<Item = (&Arc<Volume>, &TransferTable)> {
+    let others = scene.others.iter().map(|other| (&other.volume, &other.table));
+    std::iter::once((&scene.volume, &scene.table)).chain(others)
 }
 
-/// Uniform, table and occupancy; voxels and shares of light.
+fn kind_of(volume: &Volume) -> TexelKind {
+    match volume.voxels() {
+        Voxels::U8(_) | Voxels::U16(_) => TexelKind::Uint,
+        Voxels::F32(_) => TexelKind::Float,
+    }
+}
+
+fn purpose(scene: &march::Scene) -> MarchPurpose {
+    let mask = |has: &dyn Fn(&Volume, &TransferTable) -> bool| {
+        let bits = (0..).zip(marched(scene)).map(|(i, (volume, table))| u8::from(has(volume, table)) << i);
+        bits.sum()
+    };
+    let mixed = scene.is_mixed().then(|| MixedPurpose {
+        num_channels: marched(scene).count() as u8,
+        floats: mask(&|volume, _| kind_of(volume) == TexelKind::Float),
+        labels: mask(&|_, table| table.are_labels),
+        is_over: scene.blend == Blend::Over,
+    });
+    let (mode, is_glossy) = (scene.settings.mode, scene.highlight().is_some());
+    MarchPurpose { kind: kind_of(&scene.volume), mode, is_glossy, mixed }
+}
+
+/// Uniform, tables and occupancy; voxels of the channels and shares of light.
 fn bind_scene(
     gpu: &Gpu,
-    kind: TexelKind,
-    [uniform, table, occupancy]: [&wgpu::Buffer; 3],
-    textures: [&wgpu::Texture; 2],
+    purpose: MarchPurpose,
+    scene: &march::Scene,
+    [uniform, tables, occupancy]: [&wgpu::Buffer; 3],
+    uploaded: &[(Arc<Volume>, wgpu::Texture)],
+    shares: &wgpu::Texture,
 ) -> wgpu::BindGroup {
-    let [voxels, shares] = textures.map(|t| t.create_view(&wgpu::TextureViewDescriptor::default()));
-    bind(
-        gpu.device(),
-        "scene",
-        gpu.layouts().scene(kind),
-        &[
-            uniform.as_entire_binding(),
-            table.as_entire_binding(),
-            occupancy.as_entire_binding(),
-            wgpu::BindingResource::TextureView(&voxels),
-            wgpu::BindingResource::TextureView(&shares),
-        ],
-    )
+    let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+    let texture = |volume| uploaded.iter().find(|(known, _)| Arc::ptr_eq(known, volume));
+    let mut views: Vec<_> =
+        marched(scene).filter_map(|(volume, _)| texture(volume)).map(|(_, t)| view(t)).collect();
+    views.insert(1.min(views.len()), view(shares));
+    let buffers = [uniform, tables, occupancy].map(wgpu::Buffer::as_entire_binding);
+    let textures = views.iter().map(wgpu::BindingResource::TextureView);
+    let resources: Vec<_> = buffers.into_iter().chain(textures).collect();
+    bind(gpu.device(), "scene", &scene_layout(gpu.device(), purpose), &resources)
 }
 
-/// The table in the order of `TransferTable` in `shaders/shared/types.wgsl`.
-fn table_words(scene: &march::Scene) -> Vec<f32> {
-    let mut words: Vec<f32> =
-        scene.table.integral.iter().chain(&scene.table.density).flatten().copied().collect();
+/// The tables in the order of `TransferTable` in `shaders/shared/types.wgsl`. Only the first has surfaces.
+fn tables_words(scene: &march::Scene) -> Vec<f32> {
     let unused = Surface { x: 0.0, stored: 0.0, color: Vec3::ZERO, tau: 0.0 };
-    for Surface { x, color, tau, .. } in
-        scene.surfaces.iter().chain(std::iter::repeat(&unused)).take(MAX_ISOS)
-    {
-        words.extend([color.x, color.y, color.z, *tau, *x, 0.0, 0.0, 0.0]);
+    let mut words = Vec::new();
+    for (channel, (_, table)) in marched(scene).enumerate() {
+        words.extend(table.integral.iter().chain(&table.density).flatten());
+        let surfaces = if channel == 0 { &scene.surfaces[..] } else { &[] };
+        for Surface { x, color, tau, .. } in surfaces.iter().chain(std::iter::repeat(&unused)).take(MAX_ISOS)
+        {
+            words.extend([color.x, color.y, color.z, *tau, *x, 0.0, 0.0, 0.0]);
+        }
+        let key_limit = key_limit(scene.settings.mode, table);
+        let [num_surfaces, has_lesser_bodies] =
+            [surfaces.len() as u32, u32::from(scene.has_lesser_bodies)].map(f32::from_bits);
+        words.extend([num_surfaces, key_limit, has_lesser_bodies, table.x_scale, table.x_offset]);
+        words.extend([0.0; 3]);
     }
-    let key_limit = key_limit(scene.settings.mode, &scene.table);
-    let [num_surfaces, has_lesser_bodies] =
-        [scene.surfaces.len() as u32, u32::from(scene.has_lesser_bodies)].map(f32::from_bits);
-    words.extend([num_surfaces, key_limit, has_lesser_bodies, 0.0]);
     words
 }
 
+/// Uploads the channels that a scene marches and that are not `known`.
+fn upload_channels(
+    gpu: &Gpu,
+    scene: &march::Scene,
+    known: &[(Arc<Volume>, wgpu::Texture)],
+) -> Result<Vec<(Arc<Volume>, wgpu::Texture)>, GpuError> {
+    let is_new = |volume: &&Arc<Volume>| !known.iter().any(|(old, _)| Arc::ptr_eq(old, volume));
+    let new = marched(scene).map(|(volume, _)| volume).filter(is_new);
+    new.map(|volume| Ok((volume.clone(), upload_volume(gpu, volume)?))).collect()
+}
+
 /// Integer voxels stay integers, which is exact on every device and needs no optional feature for 16 bits.
-fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<(TexelKind, wgpu::Texture), GpuError> {
-    let (kind, format, bytes): (_, _, &[u8]) = match volume.voxels() {
-        Voxels::U8(v) => (TexelKind::Uint, wgpu::TextureFormat::R8Uint, v),
-        Voxels::U16(v) => (TexelKind::Uint, wgpu::TextureFormat::R16Uint, bytemuck::cast_slice(v)),
-        Voxels::F32(v) => (TexelKind::Float, wgpu::TextureFormat::R32Float, bytemuck::cast_slice(v)),
+fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<wgpu::Texture, GpuError> {
+    let (format, bytes): (_, &[u8]) = match volume.voxels() {
+        Voxels::U8(v) => (wgpu::TextureFormat::R8Uint, v),
+        Voxels::U16(v) => (wgpu::TextureFormat::R16Uint, bytemuck::cast_slice(v)),
+        Voxels::F32(v) => (wgpu::TextureFormat::R32Float, bytemuck::cast_slice(v)),
     };
-    Ok((kind, upload_texture(gpu, volume.dims(), format, bytes, None)?))
+    upload_texture(gpu, volume.dims(), format, bytes, None)
 }
 
 /// Uploads the voxels' brightness; without shading, a single texel that is never read. A texture of the same size is

@@ -10,7 +10,7 @@ use wgpu::naga;
 use crate::gpu_types::{
     BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, Raycaster, Scene, WORKGROUP_SIDE,
 };
-use crate::shaders::{Extent, Frames, Kernel, MarchPurpose, Purpose, TexelKind};
+use crate::shaders::{Extent, Frames, Kernel, MarchPurpose, MixedPurpose, Purpose, TexelKind};
 
 /// A struct as (size, fields); a field as (name, offset, size).
 type Layout = (usize, Vec<(String, usize, usize)>);
@@ -111,7 +111,8 @@ fn all_purposes() -> Vec<Purpose> {
     purposes
 }
 
-const PLAIN: MarchPurpose = MarchPurpose { kind: TexelKind::Uint, mode: Mode::Composite, is_glossy: false };
+const PLAIN: MarchPurpose =
+    MarchPurpose { kind: TexelKind::Uint, mode: Mode::Composite, is_glossy: false, mixed: None };
 
 fn all_kernels() -> Vec<Kernel> {
     let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::Upscale];
@@ -121,11 +122,18 @@ fn all_kernels() -> Vec<Kernel> {
     for kind in [TexelKind::Uint, TexelKind::Float] {
         for mode in Mode::ALL {
             for is_glossy in [false, true] {
-                let purpose = MarchPurpose { kind, mode, is_glossy };
+                let purpose = MarchPurpose { kind, mode, is_glossy, mixed: None };
                 let extents = [Extent::Opaque, Extent::Through];
                 kernels.extend(extents.map(|extent| Kernel::Render(purpose, extent)));
                 kernels.push(Kernel::Generate(purpose));
             }
+        }
+        for (num_channels, floats, labels, is_over) in
+            [(1, 0, 1, false), (2, 0, 0, true), (3, 2, 4, false), (8, 0b1010_1010, 0b1000_0001, true)]
+        {
+            let mixed = Some(MixedPurpose { num_channels, floats, labels, is_over });
+            let purpose = MarchPurpose { kind, mixed, ..PLAIN };
+            kernels.extend([Kernel::Render(purpose, Extent::Opaque), Kernel::Generate(purpose)]);
         }
     }
     kernels
@@ -187,7 +195,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 22] = [
+const TWINS: [&str; 23] = [
     include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
@@ -196,6 +204,7 @@ const TWINS: [&str; 22] = [
     include_str!("../../core/src/volume/lit.rs"),
     include_str!("../../core/src/kernels/march.rs"),
     include_str!("../../core/src/kernels/march/glossy.rs"),
+    include_str!("../../core/src/kernels/march/mixed.rs"),
     include_str!("../../core/src/kernels/march/modes.rs"),
     include_str!("../../core/src/kernels/march/surfaces.rs"),
     include_str!("../../core/src/kernels/empty_space.rs"),
@@ -213,11 +222,12 @@ const TWINS: [&str; 22] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 19] = [
+const SHADER_ONLY: [&str; 20] = [
     "LANES",
     "PIECE_WORDS",
     "IS_MEAN",
     "IS_LEAST",
+    "IS_OVER",
     "X_LEAST",
     "X_GREATEST",
     "NO_STEP",

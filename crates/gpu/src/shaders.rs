@@ -76,6 +76,21 @@ pub(crate) struct MarchPurpose {
     pub(crate) mode: Mode,
     /// Whether matter has highlights, for which a march reads 32 voxels a step.
     pub(crate) is_glossy: bool,
+    /// The channels, if several are marched together or one has labels.
+    pub(crate) mixed: Option<MixedPurpose>,
+}
+
+/// How channels are marched together. Bit i of a mask is channel i.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct MixedPurpose {
+    /// At least 1.
+    pub(crate) num_channels: u8,
+    /// Channels of floats.
+    pub(crate) floats: u8,
+    /// Channels of labels.
+    pub(crate) labels: u8,
+    /// Whether media mix.
+    pub(crate) is_over: bool,
 }
 
 /// A variant of a kernel.
@@ -122,7 +137,7 @@ impl Kernel {
                     Mode::Mip | Mode::MinIp => ["", SEEN_GREATEST],
                     Mode::Average => ["", SEEN_MEAN],
                 };
-                return [&purpose.parts()[..], &[crossings, extent, seen, RENDER]].concat().concat();
+                return [&purpose.text(), crossings, extent, seen, RENDER].concat();
             }
             Self::Generate(purpose) => {
                 let mode = purpose.mode;
@@ -133,8 +148,8 @@ impl Kernel {
                     Mode::Mip | Mode::MinIp => &[PROJECTION, PROJECTION_KEYS],
                     Mode::Average => &[PROJECTION, PROJECTION_MEAN],
                 };
-                let parts = [&purpose.parts()[..], &[crossings, &is_mean, BUDGET, GENERATE, STREAM], list];
-                return parts.concat().concat();
+                let text = purpose.text();
+                return [&[&text, crossings, &is_mean, BUDGET, GENERATE, STREAM][..], list].concat().concat();
             }
             Self::Compact => &[TYPES, COMPACT],
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
@@ -151,8 +166,13 @@ impl Kernel {
 }
 
 impl MarchPurpose {
-    /// The parts from the types to those that handle two samples in a mode: generated lines, and a file.
-    fn parts(self) -> [&'static str; 8] {
+    /// The text from the types to what handles two samples in a mode: parts and generated lines.
+    fn text(self) -> String {
+        let sent = if self.is_glossy { GLOSSY } else { MATTE };
+        let start = [TYPES, SPACE, LAYER, self.kind.part(), MARCH, sent];
+        if let Some(mixed) = self.mixed {
+            return [&start.concat(), &mixed.text(), MIXED].concat();
+        }
         let [generated, takes] = match self.mode {
             Mode::Composite => ["", ABSORPTION],
             Mode::Mip => ["const IS_LEAST: bool = false;\n", KEYS],
@@ -160,10 +180,58 @@ impl MarchPurpose {
             Mode::Average => ["", MEAN],
             Mode::Iso => ["", CROSSINGS],
         };
-        let sent = if self.is_glossy { GLOSSY } else { MATTE };
-        [TYPES, SPACE, LAYER, self.kind.part(), MARCH, sent, generated, takes]
+        [&start[..], &[ONE_CHANNEL, generated, takes]].concat().concat()
+    }
+
+    /// The kinds of the voxels from the first channel on.
+    pub(crate) fn kinds(self) -> Vec<TexelKind> {
+        let others = self.mixed.map_or(0..0, |mixed| 1..mixed.num_channels);
+        let is_float = |channel: u8| self.mixed.is_some_and(|mixed| mixed.floats >> channel & 1 == 1);
+        let other = |channel| if is_float(channel) { TexelKind::Float } else { TexelKind::Uint };
+        std::iter::once(self.kind).chain(others.map(other)).collect()
     }
 }
+
+impl MixedPurpose {
+    /// The parts of the channels, and the lines that read and classify each by its number.
+    fn text(self) -> String {
+        let (mut text, mut samples, mut sums) = (String::new(), [const { String::new() }; 8], String::new());
+        for channel in 0..self.num_channels {
+            let (is_first, are_labels) = (channel == 0, self.labels >> channel & 1 == 1);
+            if !is_first {
+                let texel = if self.floats >> channel & 1 == 1 { "f32" } else { "u32" };
+                let part = CHANNEL.replace("CHANNEL", &channel.to_string()).replace("TEXEL", texel);
+                text += &part.replace("BINDING", &(FIRST_CHANNEL_BINDING + channel - 1).to_string());
+            }
+            let i = usize::from(channel);
+            let stored = if is_first { "stored".into() } else { format!("stored_{channel}") };
+            samples[i] = match (are_labels, is_first) {
+                (true, _) => format!("label_position({channel}u, {stored}(nearest_voxel(p)))"),
+                (false, true) => "domain_at(p)".into(),
+                (false, false) => format!("domain_{channel}(p)"),
+            };
+            let classify = if are_labels { "classify_labels" } else { "classify" };
+            let at = format!("{}.{}", ["a", "b"][i / 4], ["x", "y", "z", "w"][i % 4]);
+            sums +=
+                &format!("    mixed = with_channel(mixed, {classify}({channel}u, x0.{at}, x1.{at}, h));\n");
+        }
+        let sample = |i: usize| if samples[i].is_empty() { "0.0" } else { &*samples[i] };
+        let half = |first: usize| [0, 1, 2, 3].map(|i| sample(first + i)).join(", ");
+        text += &format!("const IS_OVER: bool = {};\n", self.is_over);
+        text += &format!(
+            "fn at_point(p: vec3f) -> At {{\n    return At(vec4f({}), vec4f({}));\n}}\n",
+            half(0),
+            half(4)
+        );
+        text += &format!(
+            "fn mixed_between(x0: At, x1: At, h: f32) -> Mixed {{\n    var mixed = Mixed();\n{sums}    return mixed;\n}}\n"
+        );
+        text
+    }
+}
+
+/// Binding of the second channel's voxels.
+const FIRST_CHANNEL_BINDING: u8 = 5;
 
 impl Frames {
     fn part(self) -> &'static str {
@@ -199,6 +267,9 @@ const PICTURE: &str = include_str!("../../../shaders/shared/picture.wgsl");
 const TEXELS_UINT: &str = include_str!("../../../shaders/shared/texels_uint.wgsl");
 const TEXELS_FLOAT: &str = include_str!("../../../shaders/shared/texels_float.wgsl");
 const MARCH: &str = include_str!("../../../shaders/march.wgsl");
+const ONE_CHANNEL: &str = include_str!("../../../shaders/march/one.wgsl");
+const MIXED: &str = include_str!("../../../shaders/march/mixed.wgsl");
+const CHANNEL: &str = include_str!("../../../shaders/march/channel.wgsl");
 const MATTE: &str = include_str!("../../../shaders/march/matte.wgsl");
 const GLOSSY: &str = include_str!("../../../shaders/march/glossy.wgsl");
 const ABSORPTION: &str = include_str!("../../../shaders/march/absorption.wgsl");

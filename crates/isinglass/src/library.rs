@@ -4,12 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
+use isinglass_core::channels::Channels;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Histogram, Volume};
 use isinglass_core::wire::{Choices, Part};
 use isinglass_formats::{
-    Flip, FormatError, LoadRequest, OpenOptions, Outline, Region, Selection, default_transfer, load_transfer,
-    open, outline,
+    Flip, FormatError, LoadRequest, OpenOptions, Outline, Region, Selection, default_channels,
+    default_transfer, load_transfer, open, outline,
 };
 use isinglass_server::{Library, Loaded, Loader, Survey};
 
@@ -25,6 +26,7 @@ pub(crate) struct FileLoader {
 pub(crate) struct OpenedFile {
     pub(crate) volume: Arc<Volume>,
     pub(crate) transfer: TransferFunction,
+    pub(crate) channels: Channels,
     pub(crate) library: Library,
 }
 
@@ -55,10 +57,10 @@ impl FileLoader {
     /// A server's library that first shows `volume`, of this outline.
     pub(crate) fn opened(self, volume: Arc<Volume>, outline: &Outline) -> Result<OpenedFile> {
         let transfer = self.transfer_of(&volume);
-        let parts = parts_of(outline);
+        let (parts, channels) = (parts_of(outline), default_channels(&volume));
         let volume_memory = self.request.max_bytes;
         let library = Library { parts, loader: Arc::new(self), volume_memory };
-        Ok(OpenedFile { volume, transfer, library })
+        Ok(OpenedFile { volume, transfer, channels, library })
     }
 
     fn transfer_of(&self, volume: &Volume) -> TransferFunction {
@@ -85,7 +87,8 @@ impl Loader for FileLoader {
         };
         let volume = open(&self.request.source, &options).map_err(|e| e.to_string())?;
         let transfer = self.transfer_of(&volume);
-        Ok(Loaded { volume, transfer })
+        let channels = default_channels(&volume);
+        Ok(Loaded { volume, transfer, channels })
     }
 }
 

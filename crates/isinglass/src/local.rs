@@ -72,7 +72,7 @@ impl LocalServers for Locals {
             Some(FirstLook { seen, look, lighting, lists, .. }) => {
                 seen.look_at(&opened, look, *lighting, lists).map_err(one_line)?
             }
-            None => Look::new(opened.transfer),
+            None => Look { channels: opened.channels, ..Look::new(opened.transfer) },
         };
         let bytes = opened.volume.bytes_in_memory();
         let options = ServeOptions {

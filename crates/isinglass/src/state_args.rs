@@ -8,12 +8,13 @@ use glam::{Quat, Vec3};
 use isinglass_bench::progress::note;
 use isinglass_client::Bindings;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::channels::Channels;
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Mode};
 use isinglass_core::orbit::Orbit;
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
-use isinglass_core::volume::{Lighting, Volume};
+use isinglass_core::volume::{Detail, Lighting, Volume};
 use isinglass_formats::OpenedScene;
 use isinglass_formats::{
     ReadState, Remembered, SavedCamera, SavedState, SavedVolume, Srgb, StereoPicture, read_state,
@@ -142,11 +143,12 @@ impl Seen {
     ) -> Result<(OpenedScene, Look)> {
         let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
         let upright = lighting.upright(opened.scene.volume.info.orientation.as_deref());
-        let wanted = self.look(opened.transfer.clone(), look, upright, lists)?;
-        self.note_oddities(&opened.scene.volume, &wanted);
+        let classes = (opened.transfer.clone(), opened.channels.clone());
+        let wanted = self.look(classes, look, upright, lists)?;
+        self.note_oddities(opened.scene.whole(), &wanted);
         if self.state.look.is_some() || upright != lighting {
-            opened.scene = opened.scene.with_look(&wanted.transfer, wanted.march_settings());
-            opened.transfer = wanted.transfer.clone();
+            opened.scene = opened.scene.under(&wanted, Detail::Final, None);
+            (opened.transfer, opened.channels) = (wanted.transfer.clone(), wanted.channels.clone());
         }
         Ok((opened, wanted))
     }
@@ -174,7 +176,8 @@ impl Seen {
         lists: &ListArgs,
     ) -> Result<Look> {
         let lighting = lighting.upright(opened.volume.info.orientation.as_deref());
-        let wanted = self.look(opened.transfer.clone(), look, lighting, lists)?;
+        let classes = (opened.transfer.clone(), opened.channels.clone());
+        let wanted = self.look(classes, look, lighting, lists)?;
         self.note_oddities(&opened.volume, &wanted);
         Ok(wanted)
     }
@@ -195,12 +198,12 @@ impl Seen {
 
     fn look(
         &self,
-        transfer: TransferFunction,
+        (transfer, channels): (TransferFunction, Channels),
         look: &LookArgs,
         lighting: Lighting,
         lists: &ListArgs,
     ) -> Result<Look> {
-        let of_flags = Look { lighting, ..look.look(transfer, lists)? };
+        let of_flags = Look { lighting, ..look.look(transfer, channels, lists)? };
         Ok(match self.state.look.clone() {
             Some(saved) => self.merged(saved, of_flags),
             None => of_flags,
@@ -210,8 +213,12 @@ impl Seen {
     /// The state's look with the given fields of `flags`.
     fn merged(&self, saved: Look, flags: Look) -> Look {
         // Destructuring makes sure that a new field gets its flag here.
-        let Look { transfer, shaded, lighting, k, clip, mode, isos } = flags;
+        let Look { transfer, shaded, lighting, k, clip, mode, isos, channels } = flags;
         let mut look = saved;
+        // A state without looks of channels leaves them as they are.
+        if look.channels == Channels::default() {
+            look.channels = channels;
+        }
         let has = |field| {
             debug_assert!(OF_LOOK.contains(&field) || OF_LIGHT.contains(&field), "{field}");
             self.given.has(field)

@@ -21,7 +21,7 @@ pub(crate) struct Read {
 
 impl Read {
     fn bytes(&self) -> u64 {
-        self.scene.volume.bytes_in_memory()
+        self.scene.whole().bytes_in_memory()
     }
 }
 

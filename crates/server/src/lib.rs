@@ -148,7 +148,7 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
     let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
         options;
     let Timing { clock, after_work } = timing;
-    let scene = Scene::new(volume, &look.transfer, look.march_settings());
+    let scene = Scene::of_look(volume, &look);
     let memory = FrameMemory::new(frame_memory);
     let ahead = ReadAhead::new(library.as_ref().map_or(0, |l| l.volume_memory), &memory);
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Isos, Mode};
-use isinglass_core::volume::Volume;
+use isinglass_core::volume::{Detail, Volume};
 use tokio::sync::Semaphore;
 
 /// Clones share the scenes.
@@ -24,12 +24,18 @@ pub(crate) struct Lights {
 impl Lights {
     /// A look that shows each value in any volume as this one does.
     pub(crate) fn at_values(&self, look: &Look) -> Look {
-        let Scene { volume, histogram, .. } = &*self.base;
+        let Scene { channels: all, .. } = &*self.base;
+        let chosen = &all[usize::from(look.channels.chosen).min(all.len() - 1)];
         let isos = match look.mode {
-            Mode::Iso if look.isos.as_slice().is_empty() => Isos::one(histogram.parting_value()),
+            Mode::Iso if look.isos.as_slice().is_empty() => Isos::one(chosen.histogram.parting_value()),
             _ => look.isos,
         };
-        Look { transfer: look.transfer.at_values(volume, histogram), isos, ..look.clone() }
+        let mut channels = look.channels.clone();
+        for (other, facts) in channels.others.iter_mut().zip(&all[1..]) {
+            other.transfer = other.transfer.at_values(&facts.volume, &facts.histogram);
+        }
+        let transfer = look.transfer.at_values(&all[0].volume, &all[0].histogram);
+        Look { transfer, isos, channels, ..look.clone() }
     }
 
     /// `scene` belongs to `look` and has all of its shade.
@@ -48,7 +54,7 @@ impl Lights {
     }
 
     pub(crate) fn volume(&self) -> &Volume {
-        &self.base.volume
+        self.base.whole()
     }
 
     /// Whether all of a look's shade is there, or it has none.
@@ -76,7 +82,8 @@ impl Lights {
             let _turn = turn;
             // What the newest look has in common with this one need not be worked out again.
             let newest = lock(&known).last().map_or_else(|| (*base).clone(), |(_, scene)| scene.clone());
-            let scene = newest.with_look(&look.transfer, look.march_settings());
+            let occlusion = newest.illumination.occlusion();
+            let scene = newest.under(&look, Detail::Final, occlusion.as_ref());
             let mut known = lock(&known);
             if known.len() == MAX_KNOWN {
                 known.remove(0);

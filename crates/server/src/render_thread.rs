@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::cancel::Wanted;
 use isinglass_core::codec::MAX_FRAME_SEGMENTS;
-use isinglass_core::kernels::march::{MarchSettings, Scene};
+use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::frames::within;
@@ -241,8 +241,7 @@ impl RenderThread {
             Some(lit) => self.renderer.set_scene(lit)?,
             None if is_set => return Ok(()),
             None => {
-                let settings = MarchSettings { detail: Detail::Draft, ..look.march_settings() };
-                let draft = self.renderer.scene().with_look_near(&look.transfer, settings, near);
+                let draft = self.renderer.scene().under(look, Detail::Draft, near);
                 self.renderer.set_scene(draft)?;
             }
         }

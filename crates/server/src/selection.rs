@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU16, AtomicU64, Ordering};
 
+use isinglass_core::channels::Channels;
 use isinglass_core::ids::{LoadId, LookVersion};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
@@ -56,6 +57,8 @@ pub struct Loaded {
     pub volume: Volume,
     /// The transfer function that suits the voxels; must be valid.
     pub transfer: TransferFunction,
+    /// The looks of its channels; must be valid.
+    pub channels: Channels,
 }
 
 #[derive(Debug)]
@@ -80,7 +83,7 @@ impl Present {
     pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Choices>) -> Self {
         let lights = Lights::new(scene, &look);
         let greeting = Greeting {
-            volume: VolumeDescription::of(&scene.volume, &scene.histogram),
+            volume: VolumeDescription::of_channels(scene.whole(), scene.histograms()),
             look_version: LookVersion(1),
             look,
         };
@@ -90,7 +93,7 @@ impl Present {
             lights,
             scene: number,
             parts: parts.map(Choices::bounded),
-            bytes: scene.volume.bytes_in_memory(),
+            bytes: scene.whole().bytes_in_memory(),
         }
     }
 
@@ -337,8 +340,9 @@ impl SelectionReader {
             if cancelled.load(Ordering::Relaxed) {
                 return Err(NotRead::Failed("cancelled".into()));
             }
-            let look = Look { transfer: loaded.transfer, ..look };
-            let scene = Scene::new(Arc::new(loaded.volume), &look.transfer, look.march_settings());
+            let Loaded { volume, transfer, channels } = loaded;
+            let look = Look { transfer, channels, ..look };
+            let scene = Scene::of_look(Arc::new(volume), &look);
             Ok(Read { scene, look, parts: survey.parts })
         });
         Some(Reading { part, work, cancel, progress })

@@ -78,7 +78,7 @@ impl Loader for Film {
             ..OpenOptions::default()
         };
         let volume = open(&self.source, &options).map_err(|e| e.to_string())?;
-        Ok(Loaded { volume, transfer: look().transfer })
+        Ok(Loaded { volume, transfer: look().transfer, channels: Default::default() })
     }
 }
 

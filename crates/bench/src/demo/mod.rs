@@ -263,6 +263,7 @@ impl DemoOptions {
             k: self.k,
             mode: self.mode,
             isos: self.isos,
+            channels: opened.channels.clone(),
             ..Look::new(opened.transfer.clone())
         }
     }

@@ -59,6 +59,7 @@ fn shown_id() -> Id {
 fn icon_of(section: &str) -> Icon {
     match section {
         "Presets" => Icon::LayoutGrid,
+        "Channels" => Icon::Layers,
         "Light" => Icon::Sun,
         "Clip" => Icon::Crop,
         "View" => Icon::Eye,

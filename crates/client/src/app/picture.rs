@@ -146,9 +146,9 @@ impl<S: FrameSource> ViewerApp<S> {
     fn paint_legend(&self, ui: &egui::Ui, rect: egui::Rect, description: &Welcome) {
         let (Some(look), Some(bar)) = (self.viewing.look(), Legend::rect(rect)) else { return };
         let Some(scale) = self.value_scale() else { return };
-        let domain = scale.domain(&look.transfer.domain);
+        let domain = scale.domain(&look.chosen_transfer().domain);
         let legend = Legend {
-            transfer: &look.transfer,
+            transfer: look.chosen_transfer(),
             domain,
             unit: description.volume.value_unit.as_deref(),
             mode: look.mode,

@@ -35,7 +35,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let description = self.viewing.source().description()?;
         let volume = &description.volume;
         let legend = self.viewing.look().zip(self.value_scale()).map(|(look, scale)| LegendSubject {
-            range: scale.domain(&look.transfer.domain),
+            range: scale.domain(&look.chosen_transfer().domain),
             unit: volume.value_unit.clone(),
             look,
         });
@@ -121,7 +121,7 @@ impl<S: FrameSource> ViewerApp<S> {
     pub(super) fn show_look_panel(&mut self, ui: &mut egui::Ui, now: Duration) {
         let ctx = &ui.ctx().clone();
         let (Some(look), Some(scale)) = (self.viewing.look(), self.value_scale()) else { return };
-        self.editor.follow(&look.transfer, &scale);
+        self.editor.follow(look.chosen_transfer(), &scale);
         let Some((bounds, forward)) = self.controls.as_ref().map(|(b, c)| (*b, c.pose().forward())) else {
             return;
         };
@@ -167,7 +167,7 @@ impl<S: FrameSource> ViewerApp<S> {
         }
         let edit = self.editor.take_edit(ctx);
         if let Some(transfer) = edit.transfer {
-            wanted.transfer = transfer;
+            *wanted.transfer_of_mut(look.channels.chosen) = transfer;
         }
         wanted.shaded = edit.shaded.unwrap_or(wanted.shaded);
         if wanted.lighting != look.lighting {

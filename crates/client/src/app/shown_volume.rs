@@ -13,7 +13,8 @@ use crate::view::frame_source::FrameSource;
 /// The volume of the last refresh.
 pub(super) struct ShownVolume {
     of: Arc<Welcome>,
-    scale: Arc<ValueScale>,
+    /// Of each channel.
+    scales: Vec<Arc<ValueScale>>,
 }
 
 impl<S: FrameSource> ViewerApp<S> {
@@ -23,9 +24,14 @@ impl<S: FrameSource> ViewerApp<S> {
         if self.shown_volume.as_ref().is_some_and(|shown| Arc::ptr_eq(&shown.of, &of)) {
             return;
         }
-        let (scale, bounds) = (Arc::new(ValueScale::of(&of.volume)), of.volume.bounds());
+        let bounds = of.volume.bounds();
+        let of_channels = of.volume.channels.iter().map(ValueScale::of_channel);
+        let mut scales: Vec<_> = of_channels.map(Arc::new).collect();
+        if scales.is_empty() {
+            scales.push(Arc::new(ValueScale::of(&of.volume)));
+        }
         let after = of.clone();
-        let Some(before) = self.shown_volume.replace(ShownVolume { of, scale }) else { return };
+        let Some(before) = self.shown_volume.replace(ShownVolume { of, scales }) else { return };
         match shift(&before.of.volume, &after.volume) {
             Some(by) => {
                 self.measures.shift(by);
@@ -47,8 +53,16 @@ impl<S: FrameSource> ViewerApp<S> {
         self.slices.point = self.slices.point.clamp(bounds.min, bounds.max);
     }
 
+    /// The values of the first channel, which slices show.
+    pub(super) fn scale_of_slices(&self) -> Option<Arc<ValueScale>> {
+        self.shown_volume.as_ref()?.scales.first().cloned()
+    }
+
+    /// The values of the chosen channel.
     pub(super) fn value_scale(&self) -> Option<Arc<ValueScale>> {
-        Some(self.shown_volume.as_ref()?.scale.clone())
+        let chosen = self.viewing.look().map_or(0, |look| usize::from(look.channels.chosen));
+        let scales = &self.shown_volume.as_ref()?.scales;
+        scales.get(chosen).or(scales.first()).cloned()
     }
 }
 

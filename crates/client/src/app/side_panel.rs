@@ -19,7 +19,7 @@ use crate::panels::state_files::{StateFiles, StateWish};
 use crate::panels::style::{BACKGROUNDS, title};
 use crate::panels::transfer::TransferEditor;
 use crate::panels::value_scale::ValueScale;
-use crate::panels::{clip, color_well, light};
+use crate::panels::{channels, clip, color_well, light};
 use crate::view::viewing::FrameSize;
 
 /// What the panel shows and changes beside the transfer function.
@@ -60,6 +60,7 @@ pub(crate) fn show(
         icon_strip::note_closed(ui);
         return None;
     }
+    let has_channels = !settings.volume.channels.is_empty();
     let mut sections = |ui: &mut Ui, layout: Layout| {
         layout.section(ui, "Presets", true, |ui| {
             if let Some(entry) =
@@ -69,9 +70,16 @@ pub(crate) fn show(
                 entry.set(&mut settings.look, scale);
             }
         });
-        let VolumeDescription { name, value_range, .. } = settings.volume;
+        let VolumeDescription { name, value_range, channels, .. } = settings.volume;
+        if has_channels {
+            layout.section(ui, "Channels", true, |ui| channels::show(ui, channels, &mut settings.look));
+        }
         let presets: Vec<_> = isinglass_formats::fitting_presets(name, *value_range).collect();
         layout.section(ui, "Transfer function", true, |ui| {
+            if channels::chosen_are_labels(channels, &settings.look) {
+                ui.label("Labels have colours of their own: see the channels.");
+                return;
+            }
             let Look { mode, isos, .. } = &mut settings.look;
             editor.show(ui, scale, &presets, Some(isos).filter(|_| *mode == Mode::Iso));
         });
@@ -87,7 +95,8 @@ pub(crate) fn show(
         layout.section(ui, "State", false, |ui| wish = state_files.show(ui));
     };
     if ui.ctx().content_rect().width() < STRIP_BELOW {
-        icon_strip::show(ui, &SECTIONS, |ui, name| sections(ui, Layout::Only(name)));
+        let shown: Vec<_> = SECTIONS.into_iter().filter(|name| has_channels || *name != "Channels").collect();
+        icon_strip::show(ui, &shown, |ui, name| sections(ui, Layout::Only(name)));
         return wish;
     }
     icon_strip::note_docked(ui);
@@ -214,7 +223,8 @@ fn view(ui: &mut Ui, settings: &mut LookSettings<'_>) {
     *settings.resets_choices |= reset.clicked();
 }
 
-const SECTIONS: [&str; 7] = ["Presets", "Transfer function", "Light", "Clip", "View", "Advanced", "State"];
+const SECTIONS: [&str; 8] =
+    ["Presets", "Channels", "Transfer function", "Light", "Clip", "View", "Advanced", "State"];
 /// In a narrower window the panel is a strip of icons, points.
 const STRIP_BELOW: f32 = 800.0;
 /// Room for nine points of a curve, points.

@@ -25,7 +25,7 @@ impl<S: FrameSource> ViewerApp<S> {
         let ctx = ui.ctx().clone();
         let volume = &description.volume;
         let orientation = orientation_of_planes(volume.orientation.as_deref(), self.up_axis);
-        let Some(scale) = self.value_scale() else { return };
+        let Some(scale) = self.scale_of_slices() else { return };
         let longest = volume.bounds().radius() * 2.0;
         let strip = Panel::bottom("strip of slices").frame(bar(&ctx)).exact_size(STRIP_HEIGHT);
         let (unit, bindings) = (volume.unit.as_deref(), &self.options.bindings);

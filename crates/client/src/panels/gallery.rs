@@ -100,12 +100,14 @@ impl Gallery {
         let bounds = volume.bounds();
         let is_cut_alike = shown.clip.region(&bounds) == look.clip.region(&bounds);
         let is_lit_alike = shown.shaded == look.shaded && is_cut_alike;
-        let (has_transfer, has_isos) = (shown.transfer == look.transfer, shown.isos == look.isos);
+        let has_channels = shown.channels == look.channels;
+        let has_transfer = shown.transfer == look.transfer && has_channels;
+        let has_isos = shown.isos == look.isos;
         if is_lit_alike && has_transfer && has_isos {
             return;
         }
         let stays = |entry: GalleryEntry| match entry {
-            GalleryEntry::Preset(_) => is_lit_alike,
+            GalleryEntry::Preset(_) => is_lit_alike && has_channels,
             GalleryEntry::Mode(Mode::Iso) => is_lit_alike && has_transfer && has_isos,
             GalleryEntry::Mode(_) => is_lit_alike && has_transfer,
         };
@@ -215,7 +217,9 @@ impl GalleryEntry {
         match self {
             Self::Preset(name) => {
                 look.mode = Mode::Composite;
-                look.transfer = isinglass_formats::preset(name).unwrap_or_else(|| look.transfer.clone());
+                if let Some(preset) = isinglass_formats::preset(name) {
+                    *look.transfer_of_mut(look.channels.chosen) = preset;
+                }
             }
             Self::Mode(mode) => scale.set_mode(look, mode),
         }
@@ -223,7 +227,7 @@ impl GalleryEntry {
 
     fn is_in(self, look: &Look, is_edited: bool) -> bool {
         match self {
-            Self::Preset(name) => look.transfer.name == name && !is_edited,
+            Self::Preset(name) => look.chosen_transfer().name == name && !is_edited,
             Self::Mode(mode) => look.mode == mode,
         }
     }

@@ -6,6 +6,7 @@
 pub(crate) mod background;
 pub(crate) mod banner;
 pub(crate) mod browser;
+pub(crate) mod channels;
 pub(crate) mod clip;
 pub(crate) mod color_well;
 pub(crate) mod controls;

@@ -3,8 +3,7 @@
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::transfer::Domain;
-use isinglass_core::wire::VolumeDescription;
-use isinglass_core::wire::control::MAX_BINS;
+use isinglass_core::wire::{ChannelDescription, MAX_BINS, VolumeDescription};
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ValueScale {
@@ -32,6 +31,11 @@ impl ValueScale {
     pub(crate) fn of(volume: &VolumeDescription) -> Self {
         let (range, bins) = (apart(volume.value_range), apart(volume.histogram_range));
         Self { range, bins, counts: volume.histogram.clone() }
+    }
+
+    pub(crate) fn of_channel(channel: &ChannelDescription) -> Self {
+        let (range, bins) = (apart(channel.value_range), apart(channel.histogram_range));
+        Self { range, bins, counts: channel.histogram.clone() }
     }
 
     /// The width of the bins' range.

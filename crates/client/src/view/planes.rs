@@ -236,6 +236,7 @@ mod tests {
             value_range: (0.0, 1.0),
             histogram_range: (0.0, 1.0),
             histogram: vec![1],
+            channels: vec![],
         }
     }
 

@@ -10,14 +10,15 @@
 
 mod glossy;
 mod grid;
+mod mixed;
 pub mod modes;
+mod scene;
 mod skipper;
 mod surfaces;
 #[cfg(test)]
 mod whole_marches;
 
 use std::ops::Range;
-use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -26,19 +27,21 @@ pub use self::glossy::Highlight;
 use self::glossy::{LightLanes, VoxelRay};
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
-use self::modes::{Collected, SURFACES, SamplePair, Surface};
+use self::mixed::MixedChannel;
+use self::modes::{Collected, SURFACES, SamplePair};
+pub use self::scene::{ChannelFacts, Medium, Scene};
 use self::skipper::{Skipper, VisibleBins};
 use self::surfaces::Thicken;
 use crate::camera::Camera;
-use crate::clip::{Clip, Region};
+use crate::clip::Clip;
 use crate::layer::Over;
 use crate::mode::{Isos, Mode};
 use crate::picture::Picture;
 use crate::simd::has_avx2;
 use crate::space::{Ray, safe_dir};
-use crate::transfer::{TABLE_BINS, TransferFunction, TransferTable};
+use crate::transfer::{TABLE_BINS, TransferTable};
 pub use crate::volume::Shading;
-use crate::volume::{Bricks, Detail, Histogram, Illumination, Lighting, Lit, Occlusion, Occupancy, Volume};
+use crate::volume::{Detail, Lighting, Lit};
 
 /// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,131 +77,6 @@ impl MarchSettings {
         let shading = Shading { light: lighting.direction(), ..Shading::default() };
         Self { shading: shaded.then_some(shading), lighting, ..Self::default() }
     }
-}
-
-/// A volume that is ready to be marched, with bricks and a tabulated transfer function.
-#[derive(Clone, Debug)]
-pub struct Scene {
-    /// The voxels.
-    pub volume: Arc<Volume>,
-    /// Their minima and maxima by brick.
-    pub bricks: Arc<Bricks>,
-    /// Their histogram.
-    pub histogram: Arc<Histogram>,
-    /// Classification; in a projection, the display colour of a value ([`TransferFunction::shown_table`]), and for the
-    /// mean that times the [`exposure`](TransferFunction::exposure).
-    pub table: TransferTable,
-    /// The surfaces of [`Mode::Iso`], by ascending position.
-    pub surfaces: Vec<Surface>,
-    /// Whether surfaces enclose matter of lesser values.
-    pub has_lesser_bodies: bool,
-    /// Bricks that the mode leaves visible.
-    pub occupancy: Occupancy,
-    /// Brightness of the voxels, if `settings` ask for shading or lighting.
-    pub illumination: Illumination,
-    /// The settings of the march.
-    pub settings: MarchSettings,
-}
-
-impl Scene {
-    /// Prepares a volume. `transfer` must be valid.
-    pub fn new(volume: Arc<Volume>, transfer: &TransferFunction, settings: MarchSettings) -> Self {
-        let bricks = Arc::new(Bricks::of(&volume));
-        let histogram = Arc::new(Histogram::of(&volume));
-        let (table, surfaces) = classify(&volume, &histogram, transfer, &settings);
-        let occupancy = modes::occupancy(&bricks, settings.mode, &table, &surfaces);
-        let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &volume, &settings.clip);
-        let illumination = modes::illuminate(&volume, &table, &surfaces, settings, None);
-        Self {
-            volume,
-            bricks,
-            histogram,
-            table,
-            surfaces,
-            has_lesser_bodies,
-            occupancy,
-            illumination,
-            settings,
-        }
-    }
-
-    /// The same volume with another look. Bricks, histogram and unchanged lighting are shared.
-    pub fn with_look(&self, transfer: &TransferFunction, settings: MarchSettings) -> Self {
-        self.with_look_near(transfer, settings, self.illumination.occlusion().as_ref())
-    }
-
-    /// The same, but a draft takes its ambient occlusion from `near`, or has none.
-    pub fn with_look_near(
-        &self,
-        transfer: &TransferFunction,
-        settings: MarchSettings,
-        near: Option<&Occlusion>,
-    ) -> Self {
-        let (table, surfaces) = classify(&self.volume, &self.histogram, transfer, &settings);
-        // Dragging a clip or a light does not change which bricks are visible.
-        let is_seen_alike =
-            (self.settings.mode, &self.table, &self.surfaces) == (settings.mode, &table, &surfaces);
-        let occupancy = match is_seen_alike {
-            true => self.occupancy.clone(),
-            false => modes::occupancy(&self.bricks, settings.mode, &table, &surfaces),
-        };
-        let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &self.volume, &settings.clip);
-        let before = Some((&self.illumination, near));
-        let illumination = modes::illuminate(&self.volume, &table, &surfaces, settings, before);
-        Self { table, surfaces, has_lesser_bodies, occupancy, illumination, settings, ..self.clone() }
-    }
-
-    /// The visible part of the volume.
-    pub fn region(&self) -> Region {
-        self.settings.clip.region(&self.volume.bounds())
-    }
-
-    /// Number of steps on the longest ray.
-    pub fn max_steps(&self) -> u32 {
-        (self.volume.dims_f32().length() / self.settings.step_in_voxels).ceil().clamp(1.0, MAX_STEPS) as u32
-    }
-
-    fn step_in_world(&self) -> f32 {
-        self.settings.step_in_voxels * self.volume.spacing().min_element()
-    }
-
-    /// The lattice of steps of a ray inside the visible part, in front of the camera's near plane.
-    pub fn lattice(&self, ray: &Ray, near: f32) -> Option<Lattice> {
-        let (s0, s1) = self.region().clip(ray)?;
-        let s0 = s0.max(near);
-        if s1 <= s0 {
-            return None;
-        }
-        // Steps are longer along longer sides of voxels: no ray takes more of them between two voxels than along the
-        // shortest side.
-        let voxel_from_world = self.volume.spacing().recip();
-        let voxels = (ray.dir * voxel_from_world).length();
-        let share = (voxels / voxel_from_world.max_element()).min(1.0);
-        let n = ((s1 - s0) / self.step_in_world() * share).ceil().clamp(1.0, MAX_STEPS);
-        let h = (s1 - s0) / n;
-        Some(Lattice { s0, h, n: n as u32, unit: h * share })
-    }
-}
-
-/// The table and the surfaces of a mode.
-fn classify(
-    volume: &Volume,
-    histogram: &Histogram,
-    transfer: &TransferFunction,
-    settings: &MarchSettings,
-) -> (TransferTable, Vec<Surface>) {
-    if settings.mode.is_projection() {
-        let table = transfer.shown_table(volume, histogram);
-        let exposure = if settings.mode == Mode::Average { transfer.exposure(volume, &table) } else { 1.0 };
-        return (table.scaled(exposure), Vec::new());
-    }
-    let table = transfer.table(volume, histogram);
-    let surfaces = if settings.mode == Mode::Iso {
-        modes::surfaces(transfer, &table, volume, histogram, &settings.isos)
-    } else {
-        Vec::new()
-    };
-    (table, surfaces)
 }
 
 /// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n.
@@ -287,6 +165,8 @@ pub struct Marcher<'a, T> {
     voxels: Grid<T>,
     lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
     highlight: Option<Highlight>,
+    /// All visible channels, if the march mixes them.
+    channels: Vec<MixedChannel<'a>>,
     visible_bins: VisibleBins,
     /// See [`modes::key_limit`].
     pub(crate) key_limit: f32,
@@ -307,6 +187,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
             voxels: Grid::new(texels, dims),
             lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims), &**lit)),
             highlight: scene.highlight(),
+            channels: MixedChannel::all(scene),
             visible_bins: VisibleBins::of(&scene.table),
             key_limit: modes::key_limit(scene.settings.mode, &scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
@@ -319,6 +200,9 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// Marches the lattice of one ray in a mode that composites with *over*, until the sink stops it. Surfaces have
     /// thickness, see `surfaces`.
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        if !self.channels.is_empty() {
+            return self.march_channels(ray, lattice, sink);
+        }
         if self.scene.settings.mode != Mode::Iso {
             return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);
         }
@@ -452,24 +336,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// Colour (not premultiplied) and optical depth of a step of length `h` between the domain positions `x0`, `x1`.
     #[inline(always)]
     fn classify(&self, x0: f32, x1: f32, h: f32) -> (Vec3, f32) {
-        let table = &self.scene.table;
-        let dx = x1 - x0;
-        if dx.abs() < 0.5 / TABLE_BINS as f32 {
-            let m = lookup(&table.density, 0.5 * (x0 + x1));
-            let sigma = m[3];
-            if sigma <= 0.0 {
-                return (Vec3::ZERO, 0.0);
-            }
-            return (Vec3::new(m[0], m[1], m[2]) / sigma, sigma * h);
-        }
-        let a = lookup(&table.integral, x0);
-        let b = lookup(&table.integral, x1);
-        let d_t = b[3] - a[3];
-        if d_t == 0.0 {
-            return (Vec3::ZERO, 0.0);
-        }
-        let color = Vec3::new(b[0] - a[0], b[1] - a[1], b[2] - a[2]) / d_t;
-        (color.max(Vec3::ZERO).min(Vec3::ONE), h * d_t / dx)
+        classify_by(&self.scene.table, x0, x1, h)
     }
 
     /// A stored number as a position in the transfer function's domain, which may lie outside for surfaces.
@@ -482,6 +349,28 @@ impl<'a, T: Texels> Marcher<'a, T> {
         let x = if x > 0.0 { x } else { 0.0 };
         if x < 1.0 { x } else { 1.0 }
     }
+}
+
+/// Colour (not premultiplied) and optical depth of a step of length `h` between the positions `x0`, `x1` of a table.
+#[inline(always)]
+fn classify_by(table: &TransferTable, x0: f32, x1: f32, h: f32) -> (Vec3, f32) {
+    let dx = x1 - x0;
+    if dx.abs() < 0.5 / TABLE_BINS as f32 {
+        let m = lookup(&table.density, 0.5 * (x0 + x1));
+        let sigma = m[3];
+        if sigma <= 0.0 {
+            return (Vec3::ZERO, 0.0);
+        }
+        return (Vec3::new(m[0], m[1], m[2]) / sigma, sigma * h);
+    }
+    let a = lookup(&table.integral, x0);
+    let b = lookup(&table.integral, x1);
+    let d_t = b[3] - a[3];
+    if d_t == 0.0 {
+        return (Vec3::ZERO, 0.0);
+    }
+    let color = Vec3::new(b[0] - a[0], b[1] - a[1], b[2] - a[2]) / d_t;
+    (color.max(Vec3::ZERO).min(Vec3::ONE), h * d_t / dx)
 }
 
 /// The values at the fronts of steps, given the first front and all backs.

@@ -291,9 +291,9 @@ impl LookServer {
             self.look = Arc::new(look);
         } else {
             self.usual = suited.transfer.clone();
-            if is_usual {
-                self.look = Arc::new(Look { transfer: self.usual.clone(), ..(*self.look).clone() });
-            }
+            let transfer = if is_usual { self.usual.clone() } else { self.look.transfer.clone() };
+            let channels = suited.channels.clone();
+            self.look = Arc::new(Look { transfer, channels, ..(*self.look).clone() });
         }
         if is_usual {
             self.usual = self.look.transfer.clone();

@@ -294,6 +294,7 @@ pub(crate) fn volume(name: &str) -> VolumeDescription {
         value_range: (0.0, 1.0),
         histogram_range: (0.0, 1.0),
         histogram: vec![1; 4],
+        channels: vec![],
     }
 }
 

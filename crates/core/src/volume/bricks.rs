@@ -41,6 +41,17 @@ impl Bricks {
         self.occupancy_by(|lo, hi| table.is_visible(lo, hi), |_, _| None)
     }
 
+    /// The bricks that one of several channels with the same grid leaves visible.
+    pub fn occupancy_of_channels(channels: &[(&Self, &TransferTable)]) -> Occupancy {
+        let dims = channels.first().map_or([0; 3], |(first, _)| first.dims);
+        let num = dims.iter().map(|&n| n as usize).product::<usize>();
+        let is_visible = |(bricks, table): &(&Self, &TransferTable), i: usize| {
+            let (lo, hi) = bricks.ranges[i];
+            table.is_visible(lo, hi)
+        };
+        Occupancy::of(dims, (0..num).map(|i| channels.iter().any(|channel| is_visible(channel, i))))
+    }
+
     /// The bricks for which `is_visible` holds, given their least and greatest stored number. Where a rendering looks
     /// for the greatest of something in 0 to 1, `peak` bounds it for each brick.
     pub fn occupancy_by(

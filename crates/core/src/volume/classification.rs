@@ -1,17 +1,37 @@
 //! Prepares transfer functions for one volume, which gives their domain and unit length a meaning.
 
-use super::{Histogram, Volume};
-use crate::transfer::{Domain, TABLE_BINS, TransferFunction, TransferTable, UnitLength, integrated};
+use super::{Histogram, Volume, label_color};
+use crate::picture::linear_from_srgb;
+use crate::transfer::{
+    Domain, TABLE_BINS, TransferFunction, TransferTable, UnitLength, integrated, label_table,
+};
 
 impl TransferFunction {
     /// The table for one volume. `histogram` must be the volume's own.
     pub fn table(&self, volume: &Volume, histogram: &Histogram) -> TransferTable {
-        let unit_length = match self.unit_length {
-            UnitLength::Voxel => volume.spacing().to_array().iter().product::<f32>().cbrt(),
+        self.tabulate(self.unit_length_in(volume), self.x_map(volume, histogram))
+    }
+
+    /// The table for a volume of labels: their own colours, with the function's greatest opacity. Labels in `hidden`,
+    /// ascending, and label 0 are not shown.
+    pub fn label_table(&self, volume: &Volume, hidden: &[u16]) -> TransferTable {
+        let opacity = self.points.iter().map(|p| p.opacity).fold(0.0, f32::max);
+        let color = |label: u16| {
+            let is_shown = hidden.binary_search(&label).is_err();
+            is_shown.then(|| label_color(u32::from(label), &volume.info.labels))
+        };
+        let linear = |c: [u8; 3]| c.map(|c| linear_from_srgb(f32::from(c) / 255.0));
+        let color = |label: u16| color(label).map(linear);
+        label_table(color, opacity, self.unit_length_in(volume), volume.value_map())
+    }
+
+    /// The unit length in a volume, world units.
+    fn unit_length_in(&self, volume: &Volume) -> f32 {
+        match self.unit_length {
+            UnitLength::Voxel => volume.voxel_side(),
             UnitLength::World(l) => l,
             UnitLength::Radius(r) => r * volume.bounds().radius(),
-        };
-        self.tabulate(unit_length, self.x_map(volume, histogram))
+        }
     }
 
     /// The table of [`Self::shown`] for one volume, with the greatest channel in place of extinction.

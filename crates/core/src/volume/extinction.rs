@@ -11,7 +11,7 @@ pub use self::surfaces::{Sheet, has_lesser_bodies};
 use super::grid::{Volume, Voxels};
 use crate::clip::Region;
 use crate::space::Aabb;
-use crate::transfer::{TABLE_BINS, TransferTable};
+use crate::transfer::TransferTable;
 
 /// The detail of lighting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,7 +77,7 @@ impl Extinction {
                 found.fill(v, volume, step, |stored| of[usize::from(stored)]);
             }
             (Matter::Medium(table), Voxels::F32(v)) => {
-                found.fill(v, volume, step, |stored| sigma_of(table, stored));
+                found.fill(v, volume, step, |stored| table.extinction_of(stored));
             }
         }
         let bounds = volume.bounds();
@@ -160,18 +160,9 @@ fn cell_sides(volume: &Volume, voxels: [usize; 3]) -> Vec3 {
     volume.spacing() * Vec3::from_array(voxels.map(|n| n as f32))
 }
 
-fn sigma_of(table: &TransferTable, stored: f32) -> f32 {
-    // `clamp` would pass NaN on, which numbers of the greatest domains may become.
-    let x = stored * table.x_scale + table.x_offset;
-    let u = if x > 0.0 { x.min(1.0) } else { 0.0 } * TABLE_BINS as f32;
-    let i = (u as usize).min(TABLE_BINS - 1);
-    let (a, b) = (table.density[i][3], table.density[i + 1][3]);
-    a + (b - a) * (u - i as f32)
-}
-
 /// Extinctions of the numbers from 0 on.
 fn by_number(table: &TransferTable, count: usize) -> Vec<f32> {
-    (0..count).map(|stored| sigma_of(table, stored as f32)).collect()
+    (0..count).map(|stored| table.extinction_of(stored as f32)).collect()
 }
 
 #[cfg(test)]

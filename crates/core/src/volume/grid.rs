@@ -6,6 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
 /// The stored voxels, x fastest. Other types are converted on reading: signed integers by an offset, wider ones and
@@ -276,6 +277,11 @@ impl Volume {
         self.spacing
     }
 
+    /// The side of a cube as large as a voxel, world units.
+    pub fn voxel_side(&self) -> f32 {
+        self.spacing.to_array().iter().product::<f32>().cbrt()
+    }
+
     /// The voxels as stored.
     pub fn voxels(&self) -> &Voxels {
         &self.voxels
@@ -328,8 +334,6 @@ impl Volume {
     }
 }
 
-/// Most channels that are shown together.
-pub const MAX_CHANNELS: usize = 8;
 /// Bytes per voxel for brightness. Self-shading takes as many again.
 const BRIGHTNESS_BYTES: usize = 1;
 

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::grid::{Volume, Voxels};
 
 /// Counts of voxels in equal bins, usually between the least and the greatest value.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Histogram {
     /// Value at the left edge of the first bin, which also counts lesser values.
     pub lo: f32,

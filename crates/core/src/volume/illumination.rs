@@ -25,6 +25,7 @@ use crate::transfer::TransferTable;
 /// body open, no light reaches its inside.
 #[derive(Clone, Debug)]
 pub struct Illumination {
+    volume: Arc<Volume>,
     shading: Option<Shading>,
     lighting: Lighting,
     /// The inputs of the extinction.
@@ -80,11 +81,11 @@ impl Classes {
 
 impl Illumination {
     /// Lights a volume in the domain of `table`, where `matter` attenuates light. Matter outside `region`, a part of
-    /// its box, throws no shadow. Unchanged results of the same detail are taken from `before`, of the same volume. With
-    /// it comes the occlusion that a draft of another look takes.
+    /// its box, throws no shadow. Unchanged results of the same detail and volume are taken from `before`. With it comes
+    /// the occlusion that a draft of another look takes.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that brightness depends on")]
     pub fn of(
-        volume: &Volume,
+        volume: &Arc<Volume>,
         table: &TransferTable,
         matter: Matter<'_>,
         shading: Option<Shading>,
@@ -94,12 +95,15 @@ impl Illumination {
         before: Option<(&Self, Option<&Occlusion>)>,
     ) -> Self {
         let classes = Classes::of(table, matter, region);
+        let has_volume = |b: &&Self| Arc::ptr_eq(&b.volume, volume);
         let gradients = shading.map(|shading| {
-            let is_same = |b: &&Self| b.shading == Some(shading) && b.classes.x_map.0 == table.x_scale;
+            let is_same =
+                |b: &&Self| has_volume(b) && b.shading == Some(shading) && b.classes.x_map.0 == table.x_scale;
             let kept = before.map(|(b, _)| b).filter(is_same).and_then(|b| b.gradients.clone());
             kept.unwrap_or_else(|| Arc::new(Lit::of(volume, shading, table.x_scale)))
         });
         let mut found = Self {
+            volume: volume.clone(),
             shading,
             lighting,
             classes: Arc::new(classes),
@@ -113,7 +117,7 @@ impl Illumination {
         if lighting.is_on() {
             let near = before.and_then(|(_, near)| near).filter(|near| near.fits(volume));
             let before = before.map(|(b, _)| b);
-            let alike = before.filter(|b| b.classes.shades_like(&found.classes));
+            let alike = before.filter(has_volume).filter(|b| b.classes.shades_like(&found.classes));
             // Occlusion takes long, and that of a look before is near. So an edit does not wait for it.
             let has_own = alike.is_some_and(|b| b.occlusion.is_some() && !b.lacks_occlusion);
             let is_draft_of_other = detail == Detail::Draft && before.is_some() && !has_own;

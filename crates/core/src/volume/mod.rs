@@ -8,8 +8,10 @@ pub mod fields;
 mod grid;
 mod histogram;
 mod illumination;
+mod labels;
 mod lighting;
 mod lit;
+mod opacities;
 pub mod procedural;
 mod shade;
 mod slice;
@@ -19,8 +21,10 @@ pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
 pub use grid::{ChannelInfo, MAX_CHANNELS, Placement, Volume, VolumeError, VolumeInfo, VolumeLabel, Voxels};
 pub use histogram::{Histogram, parting_value};
 pub use illumination::{Illumination, Occlusion};
+pub use labels::label_color;
 pub use lighting::{
     Lighting, LightingError, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SHININESS_MAX, SOFTNESS_MAX_DEGREES,
 };
 pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
+pub use opacities::{opacity_table, opacity_volume};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};

@@ -11,14 +11,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Choices, LoadStatus, MAX_CONTROL_BYTES, PROTOCOL_VERSION, Part, ProbeRequest, Probed, Profile,
-    ProfileRequest, ScreenshotRequest, Token, ViewerEntry, WantedSlices, version::older_side, viewers,
+    ProfileRequest, ScreenshotRequest, Token, ViewerEntry, VolumeDescription, WantedSlices,
+    version::older_side, viewers,
 };
 use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
 use crate::look::{Look, LookError, MAX_NAME_BYTES};
-use crate::space::Aabb;
 use crate::text;
-use crate::volume::{Histogram, Placement, Volume};
 
 /// A message of the client. [`ClientMessage::Hello`] comes first and once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -126,32 +125,6 @@ pub struct Welcome {
     pub max_side: u32,
     /// Pose datagrams beyond this rate are dropped, 1/s.
     pub max_poses_per_second: u32,
-}
-
-/// The viewer's description of the volume.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct VolumeDescription {
-    /// File name or name of the built-in volume.
-    pub name: String,
-    /// Voxels along x, y, z.
-    pub dims: [u32; 3],
-    /// Size of a voxel, world units.
-    pub spacing: [f32; 3],
-    /// Unit of the spacing, if known.
-    pub unit: Option<String>,
-    /// Directions of the axes, such as `RAS`, if known.
-    pub orientation: Option<String>,
-    /// Position of the volume in the world of its file, if known.
-    pub placement: Option<Placement>,
-    /// Unit of the values, if known.
-    pub value_unit: Option<String>,
-    /// Least and greatest value.
-    pub value_range: (f32, f32),
-    /// The range that the histogram's bins cover: the value range, or less if a few voxels lie far away. The first
-    /// and the last bin count those.
-    pub histogram_range: (f32, f32),
-    /// Number of voxels in each of at most [`MAX_BINS`] equal bins.
-    pub histogram: Vec<u64>,
 }
 
 /// How a client fares, on its own clock.
@@ -306,66 +279,6 @@ impl Message for ServerMessage {
     }
 }
 
-impl VolumeDescription {
-    /// Describes a volume. `histogram` must be the volume's own.
-    pub fn of(volume: &Volume, histogram: &Histogram) -> Self {
-        let cut = |s: &str| text::printable(s, MAX_NAME_BYTES / 4);
-        let bins = histogram.counts.len().clamp(1, MAX_BINS);
-        let mut counts = vec![0u64; bins];
-        for (i, n) in histogram.counts.iter().enumerate() {
-            counts[i * bins / histogram.counts.len()] += n;
-        }
-        Self {
-            name: cut(&volume.info.name),
-            dims: volume.dims(),
-            spacing: volume.spacing().to_array(),
-            unit: volume.info.unit.as_deref().map(cut),
-            orientation: volume.info.orientation.as_deref().map(cut),
-            placement: volume.info.placement,
-            value_unit: volume.info.value_unit.as_deref().map(cut),
-            value_range: volume.value_range(),
-            histogram_range: (histogram.lo, histogram.hi),
-            histogram: counts,
-        }
-    }
-
-    /// The volume's box in world space: centred at the origin.
-    pub fn bounds(&self) -> Aabb {
-        let half =
-            glam::Vec3::from_array(std::array::from_fn(|i| self.dims[i] as f32 * self.spacing[i] * 0.5));
-        Aabb { min: -half, max: half }
-    }
-
-    fn validate(&self) -> Result<(), ControlError> {
-        check_text("volume name", &self.name, MAX_NAME_BYTES)?;
-        for s in [&self.unit, &self.orientation, &self.value_unit].into_iter().flatten() {
-            check_text("unit or orientation", s, MAX_NAME_BYTES)?;
-        }
-        let numbers = self.placement.iter().flat_map(|p| p.axes.iter().flatten().chain(&p.center));
-        if numbers.into_iter().any(|x| !x.is_finite()) {
-            return Err(ControlError::Value("placement"));
-        }
-        let positive = |x: &f32| *x > 0.0 && x.is_finite();
-        if self.dims.contains(&0) || !self.spacing.iter().all(positive) || !self.bounds().radius().is_finite()
-        {
-            return Err(ControlError::Value("volume size"));
-        }
-        let (lo, hi) = self.value_range;
-        let is_range = |(lo, hi): (f32, f32)| lo <= hi && lo.is_finite() && hi.is_finite();
-        if !is_range(self.value_range) {
-            return Err(ControlError::Value("value range"));
-        }
-        let (first, last) = self.histogram_range;
-        if !is_range(self.histogram_range) || first < lo || last > hi {
-            return Err(ControlError::Value("histogram range"));
-        }
-        if self.histogram.len() > MAX_BINS {
-            return Err(ControlError::Value("histogram"));
-        }
-        Ok(())
-    }
-}
-
 /// A message with its length in front.
 ///
 /// # Errors
@@ -436,9 +349,6 @@ pub(super) fn check_text(what: &'static str, s: &str, max_bytes: usize) -> Resul
     }
 }
 
-/// Most bins in a description's histogram. A window of a hundredth of the range gets forty. A bin takes at most nine
-/// bytes, so they leave room in a message.
-pub const MAX_BINS: usize = 4096;
 /// Longest message that is sent as it is, bytes.
 const PACKED_ABOVE_BYTES: usize = 1024;
 /// Longest notice, bytes.
@@ -449,7 +359,8 @@ mod tests {
     use super::*;
     use crate::ids::ProbeId;
     use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-    use crate::wire::ProbedVoxel;
+    use crate::volume::Histogram;
+    use crate::wire::{MAX_BINS, ProbedVoxel};
 
     fn look() -> Look {
         let p = |x| ControlPoint { x, color: [1.0, 0.5, 0.0], opacity: x };
@@ -474,6 +385,7 @@ mod tests {
             value_range: (-1.0, 1.0),
             histogram_range: (-0.5, 1.0),
             histogram: (0..256).collect(),
+            channels: vec![],
         };
         let welcome = Welcome {
             ticket: Token::new([3; 16]),

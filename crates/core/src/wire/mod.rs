@@ -11,6 +11,7 @@
 //! | slice through the volume | server to client | one unidirectional stream each; see [`mod@slice`] |
 
 pub mod control;
+mod description;
 pub mod parity;
 mod pose;
 mod probe;
@@ -25,9 +26,9 @@ mod version;
 mod viewers;
 
 pub use control::{
-    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange,
-    VolumeDescription, Welcome,
+    ClientMessage, ClientStats, ControlError, Refusal, ServerMessage, ServerStats, VolumeChange, Welcome,
 };
+pub use description::{ChannelDescription, MAX_BINS, MAX_CHANNEL_BINS, MAX_LABELS, VolumeDescription};
 pub use pose::{MAX_SHOWN_TURN_DEG, POSE_BYTES, PoseError, PoseRequest};
 pub use probe::{ProbeRequest, Probed, ProbedVoxel};
 pub use profile::{MAX_PROFILE_POINTS, Profile, ProfileRequest};
@@ -39,4 +40,4 @@ pub use version::{ALPN, ALPN_ANY, PROTOCOL_VERSION, version_in_notice, version_n
 pub use viewers::{MAX_VIEWERS, ViewerEntry};
 
 /// Length of the longest control message.
-pub const MAX_CONTROL_BYTES: usize = 64 * 1024;
+pub const MAX_CONTROL_BYTES: usize = 256 * 1024;

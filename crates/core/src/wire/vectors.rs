@@ -7,13 +7,14 @@ use glam::{Quat, Vec3};
 use super::control::{decode, encode};
 use super::*;
 use crate::camera::{Intrinsics, Pose};
+use crate::channels::{Blend, ChannelLook, Channels, Visibility};
 use crate::clip::{Clip, Plane};
 use crate::ids::{FrameId, LoadId, LookVersion, PoseId, ProbeId, ScreenshotId, SliceId};
 use crate::look::Look;
 use crate::mode::{Iso, Isos, Mode};
 use crate::space::Aabb;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use crate::volume::{Lighting, Placement, SlabMode, SlicePlane, SliceSpec};
+use crate::volume::{Lighting, Placement, SlabMode, SlicePlane, SliceSpec, VolumeLabel};
 
 fn transfer() -> TransferFunction {
     let point = |x, opacity| ControlPoint { x, color: [1.0, 0.5, 0.25], opacity };
@@ -50,6 +51,15 @@ fn look() -> Look {
         },
         mode: Mode::Iso,
         isos: Isos::new(&[Iso { value: 300.0, opacity: 0.5 }]).unwrap(),
+        channels: Channels {
+            blend: Blend::Over,
+            first: Visibility { is_hidden: true, hidden_labels: vec![] },
+            others: vec![ChannelLook {
+                transfer: transfer(),
+                visibility: Visibility { is_hidden: false, hidden_labels: vec![3, 500] },
+            }],
+            chosen: 1,
+        },
     }
 }
 
@@ -68,6 +78,14 @@ fn volume() -> VolumeDescription {
         value_range: (-1.0, 1.0),
         histogram_range: (-0.5, 1.0),
         histogram: vec![1, 300],
+        channels: vec![ChannelDescription {
+            name: "c".into(),
+            value_range: (0.0, 4.0),
+            histogram_range: (0.0, 4.0),
+            histogram: vec![7],
+            are_labels: true,
+            labels: vec![VolumeLabel { value: 3, name: "l".into(), color: Some([1, 2, 255]) }],
+        }],
     }
 }
 

@@ -1,3 +1,4 @@
+use isinglass_core::channels::{Blend, ChannelLook, Channels, Visibility};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::space::Aabb;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
@@ -97,6 +98,22 @@ fn state(seed: u32) -> SavedState {
 
 fn from_text(text: &str) -> Result<ReadState, String> {
     state_from_bytes(text.as_bytes(), Path::new("a.toml")).map_err(|e| e.to_string())
+}
+
+#[test]
+fn channels_are_kept_and_defaults_take_no_room() {
+    let plain = state(1);
+    assert!(!plain.to_toml().contains("channels"));
+    let mut state = plain.clone();
+    let look = state.look.as_mut().unwrap();
+    let transfer = TransferFunction { name: "second".into(), ..look.transfer.clone() };
+    let visibility = Visibility { is_hidden: true, hidden_labels: vec![3, 700] };
+    let others = vec![ChannelLook { transfer, visibility: visibility.clone() }];
+    look.channels = Channels { blend: Blend::Over, first: visibility, others, chosen: 1 };
+    let text = state.to_toml();
+    assert_eq!(from_text(&text).unwrap(), ReadState { state: state.clone(), note: None }, "{text}");
+    assert_eq!(state_from_link(&state_to_link(&state)).unwrap().state, state);
+    assert_ne!(state, plain);
 }
 
 #[test]

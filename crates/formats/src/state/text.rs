@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use isinglass_core::channels::Channels;
 use isinglass_core::look::Look;
 use isinglass_core::transfer::TransferFunction;
 use serde::{Deserialize, Serialize};
@@ -30,7 +31,14 @@ struct StateFile {
 impl StateFile {
     fn of(state: &SavedState) -> Self {
         let SavedState { volume, camera, view, look, views, measures } = state.clone();
-        let table = |look: Look| Table::try_from(look).expect("a look is a table of numbers and names");
+        let table = |look: Look| {
+            let has_channels = look.channels != Channels::default();
+            let mut table = Table::try_from(look).expect("a look is a table of numbers and names");
+            if !has_channels {
+                table.remove("channels");
+            }
+            table
+        };
         let look = look.map(table);
         Self { isinglass_state: VERSION, views, measures, volume, camera, view, look }
     }

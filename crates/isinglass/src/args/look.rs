@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
+use isinglass_core::channels::Channels;
 use isinglass_core::kernels::march::MarchSettings;
 use isinglass_core::look::{DEFAULT_K, Look};
 use isinglass_core::mode::{Isos, Mode as RenderMode};
@@ -74,12 +75,18 @@ impl LookArgs {
         })
     }
 
-    /// The requested look of a volume whose transfer function is `transfer`.
-    pub(crate) fn look(&self, transfer: TransferFunction, lists: &ListArgs) -> Result<Look> {
+    /// The requested look of a volume with this transfer function and these channels.
+    pub(crate) fn look(
+        &self,
+        transfer: TransferFunction,
+        channels: Channels,
+        lists: &ListArgs,
+    ) -> Result<Look> {
         let &ListArgs { k } = lists;
         let (mode, isos) = self.mode()?;
         let clip = self.clip.clip();
-        Ok(Look { shaded: self.is_shaded(), k, clip, mode, isos, ..Look::new(transfer) })
+        let shaded = self.is_shaded();
+        Ok(Look { shaded, k, clip, mode, isos, channels, ..Look::new(transfer) })
     }
 }
 

@@ -77,6 +77,7 @@ pub(super) fn greeting() -> Greeting {
         value_range: (0.0, 1.0),
         histogram_range: (0.0, 1.0),
         histogram: vec![1; 4],
+        channels: vec![],
     };
     Greeting {
         volume,

@@ -43,6 +43,7 @@ pub(crate) fn greeting() -> Greeting {
         value_range: (0.0, 1.0),
         histogram_range: (0.0, 1.0),
         histogram: vec![1; 16],
+        channels: vec![],
     };
     Greeting { volume, look_version: LookVersion(1), look: look() }
 }

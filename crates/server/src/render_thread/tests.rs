@@ -76,9 +76,8 @@ async fn a_draft_borrows_the_occlusion_of_its_own_viewer() {
     let number = SceneNumber::default();
     let near = scene.illumination.occlusion();
     let lit = |thread: &RenderThread| thread.renderer.scene().illumination.lit().unwrap().clone();
-    let draft = MarchSettings { detail: Detail::Draft, ..edit.march_settings() };
     let drafted = |near: Option<Occlusion>| -> Arc<Lit> {
-        scene.with_look_near(&edit.transfer, draft, near.as_ref()).illumination.lit().unwrap().clone()
+        scene.under(&edit, Detail::Draft, near.as_ref()).illumination.lit().unwrap().clone()
     };
     let own = drafted(near.clone());
     let foreign = drafted(of_other.illumination.occlusion());

@@ -67,7 +67,7 @@ impl PictureMarks {
                 let unit = legend.unit.as_deref().map_or(String::new(), |unit| format!(" {unit}"));
                 let color = |i: usize| {
                     let x = 1.0 - i as f32 / (NUM_COLORS - 1) as f32;
-                    color_at(&legend.look.transfer, legend.look.mode, x)
+                    color_at(legend.look.chosen_transfer(), legend.look.mode, x)
                 };
                 ColorLegend {
                     colors: (0..NUM_COLORS).map(color).collect(),

@@ -30,6 +30,7 @@ fn harness(name: &str) -> Harness<'static, Bench> {
         value_range: (-1000.0, 3000.0),
         histogram_range: (-1000.0, 3000.0),
         histogram: (0..256).map(|i| 10_000 / (1 + i)).collect(),
+        channels: vec![],
     });
     let given = preset(name).unwrap();
     let bench = Bench { editor: TransferEditor::default(), given, scale, edits: 0, shaded: None, isos: None };

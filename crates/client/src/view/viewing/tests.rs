@@ -76,6 +76,7 @@ impl FrameSource for FakeSource {
             value_range: (0.0, 1.0),
             histogram_range: (0.0, 1.0),
             histogram: vec![],
+            channels: vec![],
         };
         Some(Arc::new(Welcome {
             ticket: Token::new([0; 16]),

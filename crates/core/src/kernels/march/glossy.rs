@@ -33,10 +33,11 @@ pub struct Highlight {
 }
 
 impl Scene {
-    /// The highlights, if there are any: projections and matter without shading have none.
+    /// The highlights, if there are any: projections, matter without shading and mixed channels have none.
     pub fn highlight(&self) -> Option<Highlight> {
         let lighting = self.settings.lighting;
-        let is_glossy = lighting.specular > 0.0 && !self.settings.mode.is_projection();
+        let has_gradient = !self.settings.mode.is_projection() && !self.is_mixed();
+        let is_glossy = lighting.specular > 0.0 && has_gradient;
         let shading = self.settings.shading.filter(|_| is_glossy)?;
         Some(Highlight {
             light: shading.light,

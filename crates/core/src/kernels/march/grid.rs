@@ -134,6 +134,13 @@ impl<T: Texels> Grid<T> {
         mix(mix(x00, x10, ty), mix(x01, x11, ty), tz)
     }
 
+    /// The value of the voxel around a point in voxel space.
+    #[inline(always)]
+    pub(super) fn nearest(&self, p: Vec3) -> f32 {
+        let at = |axis: usize| (p[axis].max(0.0).min(self.last[axis])) as usize * self.strides[axis] as usize;
+        self.texels.at(at(2) + at(1) + at(0))
+    }
+
     /// The values at the points origin + dir·s in voxel space.
     // These are loops and not `map`, because the compiler does not use wider instructions in closures.
     #[inline(always)]

@@ -5,6 +5,8 @@
 //! the mean, `c` is the integral of the shown colour over the step. Keys represent values: the position x for the
 //! greatest, 1 − x for the least. So the greatest key always wins.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 
 use super::glossy::{PointLight, VoxelRay};
@@ -31,7 +33,7 @@ pub struct Surface {
 
 /// The brightness of the voxels. See [`Illumination::of`] for `before`.
 pub(super) fn illuminate(
-    volume: &Volume,
+    volume: &Arc<Volume>,
     table: &TransferTable,
     surfaces: &[Surface],
     settings: MarchSettings,

@@ -1,10 +1,12 @@
 //! Whole marches with the processor's widest instructions and with portable ones take the same steps, to the bit.
 
+use std::sync::Arc;
+
 use super::*;
 use crate::camera::{Intrinsics, Pose};
-use crate::transfer::{ControlPoint, Domain, UnitLength};
+use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use crate::volume::procedural::Builtin;
-use crate::volume::{VolumeInfo, Voxels};
+use crate::volume::{Volume, VolumeInfo, Voxels};
 
 /// All steps of a march; strides behind a transmittance, or stops there.
 struct Steps {
