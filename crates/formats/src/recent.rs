@@ -257,6 +257,7 @@ mod tests {
         let place = RecentPlace::Volume(VolumeSource {
             raw: Some(raw),
             spacing,
+            selection: Selection { flip: Flip([false, true, false]), ..Selection::default() },
             stored_slices: true,
             ..VolumeSource::new(source)
         });

@@ -66,6 +66,7 @@ fn state(seed: u32) -> SavedState {
             region: Some("1:5,:,7:".into()),
             time: Some(3),
             given_spacing: (seed % 3 == 1).then(|| [0.1, odd(seed), 2.0]),
+            flip: (seed % 3 == 1).then(|| "x,z".into()),
             stored_slices: (seed % 3 == 1).then_some(true),
             raw: (seed % 2 == 1).then(|| raw(seed)),
             dims: [5, 6, 7],
@@ -238,7 +239,8 @@ fn a_volume_of_numbers_that_are_none_is_refused() {
 #[test]
 fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
     let volume = state(1).volume.unwrap();
-    let selection = Selection { time: Some(3), region: "1:5,:,7:".parse().ok(), ..Selection::default() };
+    let (region, flip) = ("1:5,:,7:".parse().ok(), Flip([true, false, true]));
+    let selection = Selection { time: Some(3), region, flip, ..Selection::default() };
     let source = VolumeSource {
         source: "/data/a b/head.nrrd".into(),
         raw: Some(raw(1)),
