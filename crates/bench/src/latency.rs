@@ -138,7 +138,7 @@ fn demo_of(
         selection: scene.volume.selection,
         spacing: scene.volume.spacing,
         foreign_files: scene.volume.foreign_files,
-        stored_slices: scene.volume.stored_slices,
+        reading: scene.volume.reading.clone(),
         rival: contender.rival.clone(),
         foresight: Foresight { predicts, ..demo.foresight },
         degrees_per_second,

@@ -103,6 +103,8 @@ pub(crate) struct Grid {
     pub(crate) file_dims: [u64; 3],
     /// The part that is read along each axis of the file.
     pub(crate) ranges: [Range<u64>; 3],
+    /// One voxel in so many is read along each axis of the file.
+    pub(crate) thin: [u64; 3],
     /// Which axis of the file becomes x, y and z, and whether it is reversed.
     pub(crate) order: [(usize, bool); 3],
     /// Distances along x, y and z.
@@ -114,12 +116,13 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// The grid of `region`, or of the whole file, which has `file_dims` voxels along its axes. The error says what
-    /// is wrong.
+    /// The grid of `region`, or of the whole file, which has `file_dims` voxels along its axes. One voxel in `thin` is
+    /// read along each axis, or fewer where a side would still be too long. The error says what is wrong.
     pub(crate) fn arrange(
         file_dims: [u64; 3],
         geometry: &Geometry,
         region: Option<&Region>,
+        thin: u32,
     ) -> Result<Self, String> {
         let steps = geometry.steps;
         if !steps.iter().all(|v| v.length().is_finite() && v.length() > 0.0) {
@@ -130,27 +133,43 @@ impl Grid {
         }
         let order = order(steps)?;
         let ranges = ranges(file_dims, order, region)?;
-        for (axis, range) in ranges.iter().enumerate() {
-            let (n, max) = (range.end - range.start, u64::from(Volume::MAX_SIDE));
-            if !(1..=max).contains(&n) {
-                let advice = if region.is_none() && n > max { "; a region can be taken of it" } else { "" };
-                return Err(format!("axis {axis} has {n} voxels, expected 1 to {max}{advice}"));
-            }
+        let length = |axis: usize| ranges[axis].end - ranges[axis].start;
+        let max = u64::from(Volume::MAX_SIDE);
+        let most = max * MAX_THIN;
+        if let Some(axis) = (0..3).find(|&axis| !(1..=most).contains(&length(axis))) {
+            let advice =
+                if region.is_none() && length(axis) > most { "; a region can be taken of it" } else { "" };
+            return Err(format!("axis {axis} has {} voxels, expected 1 to {most}{advice}", length(axis)));
         }
+        let thin = [0, 1, 2].map(|axis| u64::from(thin.max(1)).max(length(axis).div_ceil(max)));
         let axes =
             order.map(|(axis, is_reversed)| steps[axis].normalize() * if is_reversed { -1.0 } else { 1.0 });
         let placement = geometry.origin.map(|origin| {
-            let center = (0..3)
-                .fold(origin, |p, i| p + steps[i] * ((ranges[i].start + ranges[i].end - 1) as f64 / 2.0));
+            let middle = |i: usize| {
+                let last = ranges[i].start + (length(i) - 1) / thin[i] * thin[i];
+                (ranges[i].start + last) as f64 / 2.0
+            };
+            let center = (0..3).fold(origin, |p, i| p + steps[i] * middle(i));
             Placement { center: center.to_array(), axes: axes.map(|a| a.to_array()) }
         });
         let is_body = geometry.world == World::Body;
-        let warnings = warnings(order, axes, is_body);
+        let mut warnings = warnings(order, axes, is_body);
+        if thin != [1; 3] {
+            let [x, y, z] = order.map(|(axis, _)| thin[axis]);
+            let long = (0..3).map(length).max().filter(|n| *n > max);
+            let why =
+                long.map_or(String::new(), |n| format!(", as a side has {n} and {max} are shown at most"));
+            let text = format!("one voxel in {x}×{y}×{z} is read{why}; --region reads all voxels of a part");
+            warnings.push(Warning::new(WarningKind::Choice, text));
+        }
         Ok(Self {
             file_dims,
             ranges,
             order,
-            spacing: Vec3::from_array(order.map(|(axis, _)| steps[axis].length() as f32)),
+            spacing: Vec3::from_array(
+                order.map(|(axis, _)| (steps[axis].length() * thin[axis] as f64) as f32),
+            ),
+            thin,
             orientation: geometry.world.letters().map(str::to_owned),
             is_body,
             placement: placement.filter(|p| p.center.iter().all(|c| c.is_finite())),
@@ -160,7 +179,12 @@ impl Grid {
 
     /// Dimensions after reordering.
     pub(crate) fn dims(&self) -> [u32; 3] {
-        self.order.map(|(axis, _)| (self.ranges[axis].end - self.ranges[axis].start) as u32)
+        self.order.map(|(axis, _)| self.read_dims()[axis] as u32)
+    }
+
+    /// Voxels that are read along each axis of the file.
+    fn read_dims(&self) -> [usize; 3] {
+        [0, 1, 2].map(|i| (self.ranges[i].end - self.ranges[i].start).div_ceil(self.thin[i]) as usize)
     }
 
     /// Dimensions of the whole file after reordering.
@@ -190,7 +214,7 @@ impl Grid {
     fn reorder_vec<T: Copy>(&self, mut voxels: Vec<T>) -> Vec<T> {
         let [nx, ny, nz] = self.dims().map(|d| d as usize);
         if self.is_permuted() {
-            let file = [0, 1, 2].map(|i| (self.ranges[i].end - self.ranges[i].start) as usize);
+            let file = self.read_dims();
             let file_strides = [1, file[0], file[0] * file[1]];
             let strides = self.order.map(|(axis, _)| file_strides[axis]);
             voxels = (0..nz)
@@ -292,6 +316,8 @@ fn order(steps: [DVec3; 3]) -> Result<[(usize, bool); 3], String> {
 const FILE_ORDER: [(usize, bool); 3] = [(0, false), (1, false), (2, false)];
 const BODY_LETTERS: [[&str; 2]; 3] = [["R", "L"], ["A", "P"], ["S", "I"]];
 const SPACE_LETTERS: [[&str; 2]; 3] = [["+x", "-x"], ["+y", "-y"], ["+z", "-z"]];
+/// Most voxels for one that is read, where sides are too long. With fewer, there is little left of the volume.
+const MAX_THIN: u64 = 64;
 /// A smaller rotation is invisible, and many scanners report one.
 const MAX_TILT_DEG: f64 = 1.0;
 /// If the unit vectors span less than this volume, they count as dependent.
@@ -300,6 +326,7 @@ const MIN_BOX_VOLUME: f64 = 0.01;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hyperslab::{Hyperslab, Steps};
 
     fn geometry(steps: [DVec3; 3], is_body: bool) -> Geometry {
         let world = if is_body { World::Body } else { World::Space };
@@ -327,13 +354,13 @@ mod tests {
         let part = Region { min: [1, 0, 0], max: [None, Some(2), None] };
         for (p, _, steps) in every_orientation(lengths) {
             for region in [None, Some(&part)] {
-                let g = Grid::arrange(file, &geometry(steps, true), region).unwrap();
+                let g = Grid::arrange(file, &geometry(steps, true), region, 1).unwrap();
                 assert_eq!(g.spacing.to_array(), lengths.map(|l| l as f32), "{steps:?}");
                 let placement = g.placement.unwrap();
-                let axes: Vec<(u64, Range<u64>)> = file.into_iter().zip(g.ranges.clone()).collect();
-                let mut hyperslab = crate::hyperslab::Hyperslab::new(&axes);
+                let axes: Vec<_> = file.into_iter().zip(g.ranges.clone().map(Steps::all)).collect();
+                let mut hyperslab = Hyperslab::new(&axes);
                 let mut voxels = Vec::new();
-                hyperslab.take(24, |range| voxels.extend(range.map(|i| i as u8)));
+                hyperslab.take(24, |range, _| voxels.extend(range.map(|i| i as u8)));
                 let voxels = g.reorder_vec(voxels);
                 let dims = g.dims();
                 for (i, &voxel) in voxels.iter().enumerate() {
@@ -363,11 +390,11 @@ mod tests {
         let file = [4u64, 3, 2];
         for (_, _, steps) in every_orientation([1.5, 2.0, 3.0]) {
             let own = geometry(steps, true);
-            let plain = Grid::arrange(file, &own, None).unwrap();
+            let plain = Grid::arrange(file, &own, None, 1).unwrap();
             let voxels = |grid: &Grid| grid.reorder_vec((0..24u8).collect());
             for signs in 0..8 {
                 let flip = [0, 1, 2].map(|k| signs >> k & 1 == 1);
-                let grid = Grid::arrange(file, &own.flipped(flip, file).unwrap(), None).unwrap();
+                let grid = Grid::arrange(file, &own.flipped(flip, file).unwrap(), None, 1).unwrap();
                 assert_eq!((grid.placement, &grid.orientation), (plain.placement, &plain.orientation));
                 let [nx, ny, nz] = grid.dims().map(|n| n as usize);
                 let at = |x: usize, y: usize, z: usize| x + nx * (y + ny * z);
@@ -383,7 +410,7 @@ mod tests {
 
     #[test]
     fn an_image_has_axes_of_its_own() {
-        let grid = |geometry| Grid::arrange([4, 3, 2], &geometry, None).unwrap();
+        let grid = |geometry| Grid::arrange([4, 3, 2], &geometry, None, 1).unwrap();
         let image = grid(Geometry::of_image([1.0, 2.0, 3.0], None));
         assert_eq!((image.orientation.as_deref(), image.file_axes()), (Some(IMAGE_AXES), "+x+y+z".into()));
         assert!(image.warnings.is_empty() && image.order == FILE_ORDER);
@@ -393,7 +420,7 @@ mod tests {
     #[test]
     fn the_axes_of_a_file_have_letters() {
         for (p, negative, steps) in every_orientation([1.0; 3]) {
-            let g = Grid::arrange([2; 3], &geometry(steps, true), None).unwrap();
+            let g = Grid::arrange([2; 3], &geometry(steps, true), None, 1).unwrap();
             let letters: String = (0..3).map(|k| BODY_LETTERS[p[k]][usize::from(negative[k])]).collect();
             assert_eq!(g.file_axes(), letters);
             assert_eq!(g.warnings.is_empty(), letters == "RAS");
@@ -401,16 +428,36 @@ mod tests {
     }
 
     #[test]
-    fn regions_outside_and_sides_beyond_the_limit_are_refused() {
+    fn regions_outside_are_refused() {
         let g = geometry([DVec3::X, DVec3::Y, DVec3::Z], false);
         let region = Region { min: [0, 0, 1], max: [None, Some(4), None] };
-        let e = Grid::arrange([9, 3, 2], &g, Some(&region)).unwrap_err();
+        let e = Grid::arrange([9, 3, 2], &g, Some(&region), 1).unwrap_err();
         assert_eq!(e, "region 0:4 along y, expected a part of 0:3");
         let region = Region { min: [0, 0, 2], max: [None; 3] };
-        assert!(Grid::arrange([9, 3, 2], &g, Some(&region)).unwrap_err().contains("2:2 along z"));
-        let e = Grid::arrange([9, 3000, 2], &g, None).unwrap_err();
-        assert_eq!(e, "axis 1 has 3000 voxels, expected 1 to 2048; a region can be taken of it");
+        assert!(Grid::arrange([9, 3, 2], &g, Some(&region), 1).unwrap_err().contains("2:2 along z"));
         let region = Region { min: [0, 2000, 0], max: [None; 3] };
-        assert_eq!(Grid::arrange([9, 3000, 2], &g, Some(&region)).unwrap().dims(), [9, 1000, 2]);
+        assert_eq!(Grid::arrange([9, 3000, 2], &g, Some(&region), 1).unwrap().dims(), [9, 1000, 2]);
+    }
+
+    #[test]
+    fn thinned_voxels_keep_their_places() {
+        let steps = [DVec3::X, DVec3::Y * 2.0, DVec3::Z * -1.0];
+        // Every third of 10 along x is 0, 3, 6 and 9; of 8 along y, 0, 3 and 6. The last axis is reversed.
+        let g = Grid::arrange([10, 8, 7], &geometry(steps, false), None, 3).unwrap();
+        assert_eq!((g.dims(), g.spacing.to_array()), ([4, 3, 3], [3.0, 6.0, 3.0]));
+        assert_eq!(g.placement.unwrap().center, [14.5, -14.0, 27.0]);
+        assert!(g.warnings.iter().any(|w| w.text.starts_with("one voxel in 3×3×3 is read; --region")));
+        // A side beyond the limit is thinned by itself.
+        let g = Grid::arrange([9, 3000, 2], &geometry(steps, false), None, 1).unwrap();
+        assert_eq!((g.dims(), g.spacing.to_array(), g.thin), ([9, 1500, 2], [1.0, 4.0, 1.0], [1, 2, 1]));
+        let text = "one voxel in 1×2×1 is read, as a side has 3000 and 2048 are shown at most; --region";
+        assert!(g.warnings.iter().any(|w| w.text.starts_with(text)), "{:?}", g.warnings);
+        assert!(
+            !Grid::arrange([9, 2048, 2], &geometry(steps, false), None, 1)
+                .unwrap()
+                .warnings
+                .iter()
+                .any(|w| w.kind == WarningKind::Choice)
+        );
     }
 }

@@ -1,21 +1,21 @@
 //! Collects the selected voxels from the data of a file, and reports progress.
 
 use std::io::{self, BufRead};
-use std::ops::Range;
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
-use crate::decode::{Decoded, VoxelSink, next_number};
+use crate::channels::{ChannelSinks, Piece, StreamShape};
+use crate::decode::{Decoded, next_number};
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, quoted, shown};
-use crate::hyperslab::Hyperslab;
-use crate::plan::{Chosen, Plan};
+use crate::hyperslab::{Hyperslab, Steps};
+use crate::plan::{Chosen, Plan, Role};
 use crate::source::OpenOptions;
 use crate::stream::Stream;
 use crate::warning::{Warning, WarningKind};
 
 /// Collects the selected voxels. Memory is allocated with the first voxel, so readers can check lengths before.
 pub(crate) struct Collector<'a> {
-    plan_format: String,
     /// Shape of the file for messages, such as `256×256×128 uint8`.
     shape: String,
     dtype: Dtype,
@@ -24,7 +24,8 @@ pub(crate) struct Collector<'a> {
     options: &'a OpenOptions<'a>,
     chosen: &'a Chosen,
     hyperslab: Hyperslab,
-    sink: Option<VoxelSink>,
+    channel_axis: Option<usize>,
+    sinks: Option<ChannelSinks>,
     has_gaps: bool,
     warnings: Vec<Warning>,
 }
@@ -32,10 +33,9 @@ pub(crate) struct Collector<'a> {
 impl<'a> Collector<'a> {
     pub(crate) fn new(plan: &Plan, chosen: &'a Chosen, path: &'a Path, options: &'a OpenOptions<'a>) -> Self {
         let sizes: Vec<String> = plan.axes.iter().map(|a| a.size.to_string()).collect();
-        let axes: Vec<(u64, Range<u64>)> =
-            plan.axes.iter().map(|a| a.size).zip(chosen.ranges.iter().cloned()).collect();
+        let axes: Vec<(u64, Steps)> =
+            plan.axes.iter().map(|a| a.size).zip(chosen.selected.iter().cloned()).collect();
         Self {
-            plan_format: plan.format.clone(),
             shape: format!("{} {}", sizes.join("×"), plan.dtype.name()),
             dtype: plan.dtype,
             endian: plan.endian,
@@ -43,7 +43,8 @@ impl<'a> Collector<'a> {
             options,
             chosen,
             hyperslab: Hyperslab::new(&axes),
-            sink: None,
+            channel_axis: plan.axes.iter().position(|a| a.role == Role::Channel),
+            sinks: None,
             has_gaps: plan.has_gaps,
             warnings: Vec::new(),
         }
@@ -63,9 +64,19 @@ impl<'a> Collector<'a> {
         self.dtype.num_bytes() as u64
     }
 
-    /// The selected range along each axis of the plan.
-    pub(crate) fn ranges(&self) -> &'a [Range<u64>] {
-        &self.chosen.ranges
+    /// The selection along each axis of the plan.
+    pub(crate) fn selected(&self) -> &'a [Steps] {
+        &self.chosen.selected
+    }
+
+    /// The axis of the plan that has the channels, if there is one.
+    pub(crate) fn channel_axis(&self) -> Option<usize> {
+        self.channel_axis
+    }
+
+    /// The flag that ends the reading.
+    pub(crate) fn cancel(&self) -> Option<&'a AtomicBool> {
+        self.options.cancel
     }
 
     /// Position in the file, in numbers.
@@ -90,18 +101,26 @@ impl<'a> Collector<'a> {
 
     /// Collects the selected numbers in `bytes`, which contain whole numbers.
     pub(crate) fn push(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
-        self.sink()?;
+        self.sinks(None)?;
         let size = self.dtype.num_bytes();
         let count = (bytes.len() / size) as u64;
-        if let Some(sink) = &mut self.sink {
-            self.hyperslab.take(count, |range| sink.push_bytes(&bytes[range.start * size..range.end * size]));
+        if let Some(sinks) = &mut self.sinks {
+            let take = |range: std::ops::Range<usize>, step| {
+                sinks.push(&bytes[range.start * size..range.end * size], step);
+            };
+            self.hyperslab.take(count, take);
         }
         self.tick()
     }
 
-    /// Collects all of `bytes`. The reader has made the selection itself.
-    pub(crate) fn push_selected(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
-        self.sink()?.push_bytes(bytes);
+    /// Makes each voxel the number whose bytes are `fill`. Boxes of others can then be placed in any order.
+    pub(crate) fn fill(&mut self, fill: &[u8]) -> Result<(), FormatError> {
+        self.sinks(Some(fill)).map(drop)
+    }
+
+    /// Puts boxes of voxels in their places, after [`Collector::fill`]. Counts `num_passed` selected numbers.
+    pub(crate) fn place(&mut self, pieces: Vec<Piece>, num_passed: u64) -> Result<(), FormatError> {
+        self.sinks(None)?.place(pieces, num_passed);
         self.tick()
     }
 
@@ -109,9 +128,9 @@ impl<'a> Collector<'a> {
     fn push_number(&mut self, path: &Path, number: Result<f64, String>) -> Result<(), FormatError> {
         let (index, name) = (self.hyperslab.position(), self.dtype.name());
         let mut is_good = number.is_ok();
-        self.sink()?;
-        if let (Some(sink), Ok(x)) = (&mut self.sink, &number) {
-            self.hyperslab.take(1, |_| is_good = sink.push_number(*x));
+        self.sinks(None)?;
+        if let (Some(sinks), Ok(x)) = (&mut self.sinks, &number) {
+            self.hyperslab.take(1, |_, _| is_good = sinks.push_number(*x));
         }
         if !is_good {
             let found = number.map_or_else(|text| quoted(&text), |x| x.to_string());
@@ -183,8 +202,7 @@ impl<'a> Collector<'a> {
     /// Reports progress and checks for cancelling.
     pub(crate) fn tick(&self) -> Result<(), FormatError> {
         if let Some(progress) = self.options.progress {
-            let taken = self.sink.as_ref().map_or(0, VoxelSink::len);
-            progress((taken as f64 / self.chosen.num_voxels as f64) as f32);
+            progress(self.sinks.as_ref().map_or(0.0, ChannelSinks::progress));
         }
         self.options.check_cancelled(self.path)
     }
@@ -212,30 +230,35 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// The sink, which is created with the first voxel.
-    fn sink(&mut self) -> Result<&mut VoxelSink, FormatError> {
-        if self.sink.is_none() {
-            let sink = VoxelSink::new(self.dtype, self.endian, self.chosen.num_voxels as usize);
-            self.sink = Some(sink.map_err(|_| io_error(self.path)(io::ErrorKind::OutOfMemory.into()))?);
+    /// The sinks, which are created with the first voxel.
+    fn sinks(&mut self, fill: Option<&[u8]>) -> Result<&mut ChannelSinks, FormatError> {
+        if self.sinks.is_none() {
+            let shape = StreamShape {
+                dtype: self.dtype,
+                endian: self.endian,
+                selected: &self.chosen.selected,
+                channel_axis: self.channel_axis,
+                num_channels: self.chosen.channels.len(),
+                num_voxels: self.chosen.num_voxels as usize,
+            };
+            let sinks = ChannelSinks::new(&shape, fill);
+            self.sinks = Some(sinks.map_err(|_| io_error(self.path)(io::ErrorKind::OutOfMemory.into()))?);
         }
-        Ok(self.sink.as_mut().expect("it was made above"))
+        Ok(self.sinks.as_mut().expect("they were made above"))
     }
 
-    pub(crate) fn finish(mut self) -> Result<Decoded, FormatError> {
-        let taken = self.sink()?.len() as u64;
+    /// The voxels of each channel, the first with the warnings of the reader.
+    pub(crate) fn finish(mut self) -> Result<Vec<Decoded>, FormatError> {
+        let taken = self.sinks(None)?.num_taken() as u64;
         if taken != self.chosen.num_voxels {
             return Err(self.short(self.path, self.chosen.num_voxels, taken, "voxels"));
         }
         self.tick()?;
-        let mut decoded = self.sink.take().map(|sink| sink.finish(self.has_gaps)).ok_or_else(|| {
-            FormatError::Malformed {
-                path: shown(self.path),
-                format: self.plan_format,
-                problem: "no voxels".into(),
-            }
-        })?;
-        decoded.warnings.splice(0..0, self.warnings);
-        Ok(decoded)
+        let mut channels = self.sinks.take().map_or(Vec::new(), |sinks| sinks.finish(self.has_gaps));
+        if let Some(first) = channels.first_mut() {
+            first.warnings.splice(0..0, self.warnings);
+        }
+        Ok(channels)
     }
 }
 

@@ -45,6 +45,41 @@ impl VoxelSink {
         Ok(Self { dtype, endian, voxels, num_rounded: 0 })
     }
 
+    /// A sink that is full: each of the `num_voxels` is the number whose bytes are `number`.
+    pub(crate) fn filled(
+        dtype: Dtype,
+        endian: Endian,
+        num_voxels: usize,
+        number: &[u8],
+    ) -> Result<Self, TryReserveError> {
+        // This only asks for room. Memory of zeros is taken when it is written to.
+        let room = Self::new(dtype, endian, num_voxels)?;
+        let mut one = Self::new(dtype, endian, 1)?;
+        one.push_bytes(number);
+        drop(room);
+        let voxels = match one.voxels {
+            Voxels::U8(v) => Voxels::U8(vec![v.first().copied().unwrap_or(0); num_voxels]),
+            Voxels::U16(v) => Voxels::U16(vec![v.first().copied().unwrap_or(0); num_voxels]),
+            Voxels::F32(v) => Voxels::F32(vec![v.first().copied().unwrap_or(0.0); num_voxels]),
+        };
+        Ok(Self { dtype, endian, voxels, num_rounded: 0 })
+    }
+
+    /// The voxels so far.
+    pub(crate) fn voxels(&self) -> &Voxels {
+        &self.voxels
+    }
+
+    /// How many of them were rounded.
+    pub(crate) fn num_rounded(&self) -> u64 {
+        self.num_rounded
+    }
+
+    /// Both, to change them.
+    pub(crate) fn parts_mut(&mut self) -> (&mut Voxels, &mut u64) {
+        (&mut self.voxels, &mut self.num_rounded)
+    }
+
     /// Voxels taken so far.
     pub(crate) fn len(&self) -> usize {
         self.voxels.len()

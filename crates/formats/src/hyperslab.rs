@@ -1,8 +1,40 @@
-//! Selects a range along each axis of a file from the stream of its numbers.
+//! Selects numbers along each axis of a file from the stream of its numbers.
 
 use std::ops::Range;
 
-/// The numbers within a range along each axis, as runs in a stream of all numbers.
+/// The selected numbers along an axis: each `step`th of a range, from its first.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Steps {
+    /// Not empty.
+    pub(crate) range: Range<u64>,
+    /// At least 1.
+    pub(crate) step: u64,
+}
+
+impl Steps {
+    /// All numbers of a range.
+    pub(crate) fn all(range: Range<u64>) -> Self {
+        Self { range, step: 1 }
+    }
+
+    /// How many they are.
+    pub(crate) fn len(&self) -> u64 {
+        (self.range.end - self.range.start).div_ceil(self.step)
+    }
+
+    /// Those of them that lie in `part` of the axis, counted from the first selected one.
+    pub(crate) fn within(&self, part: Range<u64>) -> Range<u64> {
+        let index = |at: u64| at.clamp(self.range.start, self.range.end) - self.range.start;
+        index(part.start).div_ceil(self.step)..index(part.end).div_ceil(self.step)
+    }
+
+    /// The place on the axis of the selected number `i`.
+    pub(crate) fn at(&self, i: u64) -> u64 {
+        self.range.start + i * self.step
+    }
+}
+
+/// The selected numbers as runs in a stream of all numbers.
 pub(crate) struct Hyperslab {
     /// The axes that are slower than a run.
     outer: Vec<Outer>,
@@ -10,33 +42,45 @@ pub(crate) struct Hyperslab {
     run: Option<Range<u64>>,
     run_start: u64,
     run_length: u64,
+    /// Distance of the selected numbers in a run.
+    run_step: u64,
     /// Position in the stream, in numbers.
     position: u64,
 }
 
 struct Outer {
     stride: u64,
-    range: Range<u64>,
+    steps: Steps,
     at: u64,
 }
 
 impl Hyperslab {
-    /// The selection of these ranges. Each axis has its length and its range, the fastest first. No range may be
-    /// empty.
-    pub(crate) fn new(axes: &[(u64, Range<u64>)]) -> Self {
-        let (mut stride, mut start, mut run_length) = (1, 0, None);
+    /// The selection of these numbers. Each axis has its length and its selection, the fastest first.
+    pub(crate) fn new(axes: &[(u64, Steps)]) -> Self {
+        let (mut stride, mut start, mut run_length, mut run_step) = (1, 0, None, 1);
         let mut outer = Vec::new();
-        for (size, range) in axes {
+        for (size, steps) in axes {
+            let range = &steps.range;
             start += stride * range.start;
-            match run_length {
-                None if *range == (0..*size) => {}
-                None => run_length = Some(stride * (range.end - range.start)),
-                Some(_) => outer.push(Outer { stride, range: range.clone(), at: range.start }),
+            let is_outer = run_length.is_some() || (steps.step > 1 && stride > 1);
+            if is_outer {
+                run_length.get_or_insert(stride);
+                outer.push(Outer { stride, steps: steps.clone(), at: range.start });
+            } else if *range != (0..*size) || steps.step > 1 {
+                run_length = Some(stride * (range.end - range.start));
+                run_step = steps.step;
             }
             stride *= size;
         }
         let run_length = run_length.unwrap_or(stride);
-        Self { outer, run: Some(start..start + run_length), run_start: start, run_length, position: 0 }
+        Self {
+            outer,
+            run: Some(start..start + run_length),
+            run_start: start,
+            run_length,
+            run_step,
+            position: 0,
+        }
     }
 
     /// Numbers before the next selected one; 0 after the last.
@@ -60,17 +104,20 @@ impl Hyperslab {
         self.position += count;
     }
 
-    /// Passes the next `count` numbers. Calls `take` with each range of selected ones, counted from the first of
-    /// them.
-    pub(crate) fn take(&mut self, count: u64, mut take: impl FnMut(Range<usize>)) {
+    /// Passes the next `count` numbers. Calls `take` with each range of them and the step of the selected ones in it,
+    /// which begin with the first.
+    pub(crate) fn take(&mut self, count: u64, mut take: impl FnMut(Range<usize>, usize)) {
         let end = self.position + count;
         while let Some(run) = &mut self.run {
             if run.start >= end {
                 break;
             }
             let stop = run.end.min(end);
-            take((run.start - self.position) as usize..(stop - self.position) as usize);
-            run.start = stop;
+            take(
+                (run.start - self.position) as usize..(stop - self.position) as usize,
+                self.run_step as usize,
+            );
+            run.start += (stop - run.start).next_multiple_of(self.run_step);
             if run.start < run.end {
                 break;
             }
@@ -81,13 +128,13 @@ impl Hyperslab {
 
     fn next_run(&mut self) -> Option<Range<u64>> {
         for axis in &mut self.outer {
-            axis.at += 1;
-            if axis.at < axis.range.end {
-                self.run_start += axis.stride;
+            axis.at += axis.steps.step;
+            if axis.at < axis.steps.range.end {
+                self.run_start += axis.stride * axis.steps.step;
                 return Some(self.run_start..self.run_start + self.run_length);
             }
-            self.run_start -= axis.stride * (axis.range.end - axis.range.start - 1);
-            axis.at = axis.range.start;
+            self.run_start -= axis.stride * (axis.at - axis.steps.step - axis.steps.range.start);
+            axis.at = axis.steps.range.start;
         }
         None
     }
@@ -109,20 +156,20 @@ mod tests {
                     random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 (random >> 33) % n
             };
-            let axes: Vec<(u64, Range<u64>)> = sizes
+            let axes: Vec<(u64, Steps)> = sizes
                 .iter()
                 .map(|&n| {
                     let lo = if round % 3 == 0 { 0 } else { next(n) };
                     let hi = if round % 3 == 0 && next(2) == 0 { n } else { lo + 1 + next(n - lo) };
-                    (n, lo..hi)
+                    (n, Steps { range: lo..hi, step: if round % 2 == 0 { 1 } else { 1 + next(3) } })
                 })
                 .collect();
             let is_wanted = |i: u64| {
                 let mut rest = i;
-                axes.iter().all(|(n, range)| {
+                axes.iter().all(|(n, Steps { range, step })| {
                     let at = rest % n;
                     rest /= n;
-                    range.contains(&at)
+                    range.contains(&at) && (at - range.start).is_multiple_of(*step)
                 })
             };
             let expected: Vec<u64> = (0..all).filter(|&i| is_wanted(i)).collect();
@@ -135,9 +182,22 @@ mod tests {
                 }
                 let start = hyperslab.position();
                 let count = (1 + next(9)).min(all - start);
-                hyperslab.take(count, |range| found.extend(range.map(|i| start + i as u64)));
+                hyperslab
+                    .take(count, |range, step| found.extend(range.step_by(step).map(|i| start + i as u64)));
             }
             assert_eq!(found, expected, "{axes:?}");
+            assert_eq!(expected.len() as u64, axes.iter().map(|a| a.1.len()).product::<u64>());
+        }
+    }
+
+    #[test]
+    fn a_part_of_an_axis_has_its_share_of_the_steps() {
+        let steps = Steps { range: 3..17, step: 4 };
+        // 3, 7, 11 and 15.
+        assert_eq!(steps.len(), 4);
+        for (part, expected) in [(0..3, 0..0), (0..4, 0..1), (4..12, 1..3), (8..100, 2..4), (16..17, 4..4)] {
+            assert_eq!(steps.within(part.clone()), expected, "{part:?}");
+            assert!(expected.map(|i| steps.at(i)).all(|at| part.contains(&at)));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Volume files, transfer functions and presets, to and from the types of `isinglass-core`.
 //!
-//! - [`open`] reads every format of docs/FORMATS.md, raw voxels and the built-in volumes. [`outline`] reads only the
+//! - [`open`] reads every format of docs/FORMATS.md, raw voxels, the built-in volumes and OME-Zarr at an address. [`outline`] reads only the
 //!   header and returns what [`open`] would need. [`Loading`] opens a volume on its own thread.
 //! - [`load_transfer`] reads a preset or a file with a transfer function.
 //! - [`SavedState`] is a saved view of a volume, as a file or in a link.
@@ -9,11 +9,12 @@
 //!
 //! Nothing in a file is trusted. Every length is checked against the file and a memory limit before anything is
 //! allocated. Every error is one line that names the file, what was expected and what was found. This crate draws
-//! nothing and knows no network.
+//! nothing. Only `web` knows a network: it gets the files of an OME-Zarr image.
 
 mod alike;
 mod axes;
 mod channel_looks;
+mod channels;
 mod collector;
 mod content;
 mod decode;
@@ -26,6 +27,7 @@ mod foreign;
 mod header_bytes;
 mod hyperslab;
 pub mod iglf;
+mod labels;
 mod loading;
 mod metaimage;
 mod mgh;
@@ -36,12 +38,14 @@ mod npy;
 mod nrrd;
 mod outline;
 mod output;
+mod overlay;
 mod packed;
 mod plan;
 pub mod png;
 mod png_stack;
 mod presets;
 mod raw;
+mod reading;
 mod recent;
 mod remembered;
 mod scene;
@@ -61,6 +65,7 @@ mod volume_source;
 mod vti;
 mod vtk;
 mod warning;
+mod web;
 mod xml;
 mod zarr;
 mod zip;
@@ -75,6 +80,7 @@ pub use outline::{Level, Outline};
 pub use output::{check_writable, remove_leftovers, write_new, write_whole};
 pub use presets::{default_preset, default_transfer, fitting_presets, preset, preset_names};
 pub use raw::RawShape;
+pub use reading::{Meaning, Reading};
 pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use remembered::Remembered;
 pub use scene::{OpenedScene, open_scene, scene_of};
@@ -92,3 +98,4 @@ pub use transfer_import::{ImportedTransfer, import_transfers};
 pub use transfer_maps::ColorMap;
 pub use volume_source::VolumeSource;
 pub use warning::{Warning, WarningKind};
+pub use web::is_address;

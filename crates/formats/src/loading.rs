@@ -10,6 +10,7 @@ use isinglass_core::volume::Volume;
 
 use crate::error::FormatError;
 use crate::raw::RawShape;
+use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::source::{OpenOptions, open};
 use crate::volume_source::VolumeSource;
@@ -29,8 +30,8 @@ pub struct LoadRequest {
     pub max_bytes: u64,
     /// Whether a header may name files outside its own folder.
     pub foreign_files: bool,
-    /// Whether slices stay as they are stored, as for [`OpenOptions::stored_slices`].
-    pub stored_slices: bool,
+    /// How the numbers become voxels.
+    pub reading: Reading,
 }
 
 impl LoadRequest {
@@ -40,10 +41,10 @@ impl LoadRequest {
     }
 
     /// The options to open it with.
-    pub fn options(&self) -> OpenOptions<'static> {
-        let &Self { source: _, raw, selection, spacing, max_bytes, foreign_files, stored_slices } = self;
+    pub fn options(&self) -> OpenOptions<'_> {
+        let &Self { source: _, raw, selection, spacing, max_bytes, foreign_files, ref reading } = self;
         let options = OpenOptions::default();
-        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, stored_slices, ..options }
+        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, reading, ..options }
     }
 }
 

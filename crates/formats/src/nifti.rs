@@ -15,7 +15,7 @@ use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed};
 use crate::foreign::HomeFolder;
 use crate::header_bytes::HeaderBytes;
-use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
+use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::units::time_step;
@@ -124,6 +124,7 @@ struct NiftiHeader {
     /// The values that are shown black and white.
     window: (f64, f64),
     units: i32,
+    intent: i32,
     qform_code: i32,
     sform_code: i32,
     quatern: [f64; 3],
@@ -143,6 +144,7 @@ impl NiftiHeader {
             intercept: f(116),
             window: (f(128), f(124)),
             units: i32::from(w.array::<1>(123)[0]),
+            intent: w.i16(68).into(),
             qform_code: w.i16(252).into(),
             sform_code: w.i16(254).into(),
             quatern: std::array::from_fn(|i| f(256 + 4 * i)),
@@ -161,6 +163,7 @@ impl NiftiHeader {
             intercept: w.f64(184),
             window: (w.f64(200), w.f64(192)),
             units: w.i32(500),
+            intent: w.i32(504),
             qform_code: w.i32(344),
             sform_code: w.i32(348),
             quatern: std::array::from_fn(|i| w.f64(352 + 8 * i)),
@@ -195,7 +198,7 @@ impl NiftiHeader {
         }
         let mut plan = Plan::new(format, dtype, endian, axes, Geometry::along_axes([1.0; 3], None));
         if colors > 0 {
-            plan.channel_names = color_names(colors);
+            plan.set_colors();
         } else if self.slope != 0.0 && self.slope.is_finite() && self.intercept.is_finite() {
             plan.value_map = (self.slope, self.intercept);
         } else if !self.slope.is_finite() || !self.intercept.is_finite() {
@@ -204,7 +207,10 @@ impl NiftiHeader {
                 "scl_slope or scl_inter is not a number; values are taken as they are",
             );
         }
-        plan.windows = vec![Some(self.window)];
+        if colors == 0 {
+            plan.channel_looks = vec![ChannelLook { window: Some(self.window), ..ChannelLook::default() }];
+        }
+        plan.are_labels = self.intent == INTENT_LABEL;
         plan.time_step = self.time_step();
         plan.geometry = self.geometry(&mut plan);
         Ok(plan)
@@ -324,6 +330,8 @@ fn is_usable((steps, origin): &([DVec3; 3], DVec3)) -> bool {
     origin.is_finite() && lengths.is_finite() && lengths > 0.0 && volume >= lengths * 0.01
 }
 
+/// The code of voxels that are labels (nifti1.h).
+const INTENT_LABEL: i32 = 1002;
 const HEADER_1_BYTES: u64 = 348;
 const HEADER_2_BYTES: u64 = 540;
 /// Most bytes before the voxels.

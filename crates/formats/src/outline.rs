@@ -13,7 +13,7 @@ pub struct Outline {
     /// File name or name of the built-in volume.
     #[serde(skip)]
     pub name: String,
-    /// The selected part. Channel, time, level and series are always set.
+    /// The selected part. Time, level and series are always set. Without a channel, several are shown together.
     #[serde(skip)]
     pub shown: Selection,
     /// Format, such as `NIfTI-1, gzip`.
@@ -40,6 +40,8 @@ pub struct Outline {
     pub channels: Vec<String>,
     /// Number of channels. The list of names has an upper limit.
     pub num_channels: u64,
+    /// Whether the channels can be shown together, up to [`isinglass_core::volume::MAX_CHANNELS`] of them.
+    pub joins_channels: bool,
     /// Points in time.
     pub num_times: u64,
     /// Time from one point in time to the next, seconds, if the file tells it and has several.
@@ -95,12 +97,13 @@ impl fmt::Display for Outline {
         writeln!(f, "  format       {}", self.format)?;
         let sides = |dims: &[u64; 3]| format!("{} × {} × {}", dims[0], dims[1], dims[2]);
         if self.whole_dims != self.dims.map(u64::from) {
-            writeln!(f, "  region of    {}", sides(&self.whole_dims))?;
+            writeln!(f, "  part of      {}", sides(&self.whole_dims))?;
         }
         if !self.channels.is_empty() {
             let names = &self.channels[..self.channels.len().min(MAX_NAMED)];
             let more = if self.num_channels as usize > names.len() { ", …" } else { "" };
-            writeln!(f, "  channels     {}: {}{more}", self.num_channels, names.join(", "))?;
+            let together = if self.shown.channel.is_none() { " (shown together)" } else { "" };
+            writeln!(f, "  channels     {}: {}{more}{together}", self.num_channels, names.join(", "))?;
         }
         if self.num_times > 1 {
             let step = self.time_step.map_or(String::new(), |seconds| format!(", one every {seconds} s"));

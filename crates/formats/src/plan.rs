@@ -2,13 +2,17 @@
 
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
-use isinglass_core::volume::{ChannelInfo, Volume, VolumeInfo, VolumeLabel};
+use isinglass_core::volume::{ChannelInfo, MAX_CHANNELS, Volume, VolumeInfo, VolumeLabel};
 
 use crate::axes::{Geometry, Grid};
 use crate::collector::Collector;
+use crate::decode::Decoded;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, malformed, shown};
+use crate::hyperslab::Steps;
+use crate::labels::mark_labels;
 use crate::outline::{Level, Outline};
 use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
@@ -56,6 +60,11 @@ pub(crate) struct Plan {
     /// Number of channels if no axis has them.
     pub(crate) num_channels: u64,
     pub(crate) channel: u64,
+    /// How many of the first channels are parts of one picture, to be shown together. One if they are other things,
+    /// such as components of a vector.
+    pub(crate) num_joint: u64,
+    /// How the file shows each channel, as far as it says so.
+    pub(crate) channel_looks: Vec<ChannelLook>,
     /// Number of points in time if no axis has them.
     pub(crate) num_times: u64,
     /// Time from one point in time to the next, seconds, from [`crate::units::time_step`].
@@ -69,9 +78,9 @@ pub(crate) struct Plan {
     pub(crate) modality: Option<String>,
     /// Unit of the values, from [`crate::units::value_unit`].
     pub(crate) value_unit: Option<String>,
-    /// The values between which the file shows each channel, if it says so.
-    pub(crate) windows: Vec<Option<(f64, f64)>>,
-    /// What the values mean, if they are labels.
+    /// Whether the file says that its values are labels.
+    pub(crate) are_labels: bool,
+    /// What the labels mean, if the file says so.
     pub(crate) labels: Vec<VolumeLabel>,
     /// The warning if neither the file nor the options have a spacing.
     pub(crate) spacing_guess: Option<String>,
@@ -100,6 +109,8 @@ impl Plan {
             channel_names: Vec::new(),
             num_channels: 1,
             channel: 0,
+            num_joint: 1,
+            channel_looks: Vec::new(),
             num_times: 1,
             time_step: None,
             levels: Vec::new(),
@@ -108,7 +119,7 @@ impl Plan {
             usual_series: 0,
             modality: None,
             value_unit: None,
-            windows: Vec::new(),
+            are_labels: false,
             labels: Vec::new(),
             spacing_guess: None,
             has_gaps: true,
@@ -118,6 +129,33 @@ impl Plan {
 
     pub(crate) fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
         self.warnings.push(Warning::new(kind, text));
+    }
+
+    /// Makes the channels the colours of a picture: red, green, blue and perhaps opacity, which is not shown with them.
+    pub(crate) fn set_colors(&mut self) {
+        let n = self.channels();
+        self.channel_names = ["red", "green", "blue", "alpha"]
+            .into_iter()
+            .zip(0..n)
+            .map(|(name, _)| name.to_owned())
+            .collect();
+        let pure = [[255, 0, 0], [0, 255, 0], [0, 0, 255]];
+        let window = match self.dtype {
+            Dtype::Uint8 | Dtype::Uint16 => self.dtype.integer_range(),
+            _ => None,
+        };
+        let look = |color| ChannelLook { window, color: Some(color), is_hidden: false };
+        self.channel_looks = pure.map(look).to_vec();
+        self.num_joint = n.min(3);
+    }
+
+    /// Makes all channels parts of one picture. A colour that all have says nothing.
+    pub(crate) fn join_channels(&mut self) {
+        self.num_joint = self.channels();
+        let colors = || self.channel_looks.iter().map(|look| look.color);
+        if colors().count() > 1 && colors().all(|color| color == self.channel_looks[0].color) {
+            self.channel_looks.iter_mut().for_each(|look| look.color = None);
+        }
     }
 
     /// Entries along the axis with this role; 1 if there is no such axis.
@@ -163,46 +201,72 @@ impl Plan {
             None => self.geometry.clone(),
         };
         let geometry = geometry.flipped(selection.flip.0, file_dims).map_err(bad)?;
-        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref()).map_err(bad)?;
+        let thin = options.reading.thin.unwrap_or(1);
+        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin).map_err(bad)?;
         let mut warnings = [&self.warnings[..], &grid.warnings[..]].concat();
         if let Some(text) = self.spacing_guess.as_ref().filter(|_| options.spacing.is_none()) {
             warnings.insert(0, Warning::new(WarningKind::Guess, text.clone()));
         }
-        let mut pick = |what: &'static str, found: u64, asked: Option<u32>, usual: u64, names: &[String]| {
+        // The product is at most 2048³.
+        let num_voxels = grid.dims().iter().map(|&d| u64::from(d)).product::<u64>();
+        let num_channels = self.channels();
+        let most_joint = MAX_CHANNELS as u64 - u64::from(options.reading.labels.is_some());
+        let num_joint = self.num_joint.min(num_channels).min(most_joint);
+        let listed = self.channel_names.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join(", ");
+        let listed = if listed.is_empty() { String::new() } else { format!(" ({listed})") };
+        let mut pick = |what: &'static str, found: u64, asked: Option<u32>, usual: u64, more: &str| {
             let index = asked.map_or(usual, u64::from);
             if index >= found {
                 return Err(FormatError::Selection { path: shown(path), what, asked: index, found });
             }
             if asked.is_none() && found > 1 {
-                let listed = names.iter().take(MAX_NAMED).cloned().collect::<Vec<_>>().join(", ");
-                let listed = if names.is_empty() { String::new() } else { format!(" ({listed})") };
-                let text = format!("the file has {found} {what}s{listed}, of which {index} is shown");
+                let listed = if what == "channel" { &listed[..] } else { "" };
+                let text = format!("the file has {found} {what}s{listed}, of which {index} is shown{more}");
                 warnings.push(Warning::new(WarningKind::Choice, text));
             }
             Ok(index)
         };
-        let channel = pick("channel", self.channels(), selection.channel, self.channel, &self.channel_names)?;
-        let time = pick("time", self.times(), selection.time, 0, &[])?;
+        let memory = Memory { num_voxels, dtype: self.dtype, is_permuted: grid.is_permuted() };
+        let together = memory.needed(num_joint);
+        let is_joint = num_joint > 1 && selection.channel.is_none();
+        let channels = if is_joint && together <= options.max_bytes {
+            0..num_joint
+        } else {
+            let more = match is_joint {
+                true => format!("; all together need {together} of {} bytes of memory", options.max_bytes),
+                false => String::new(),
+            };
+            let channel = pick("channel", num_channels, selection.channel, self.channel, &more)?;
+            channel..channel + 1
+        };
+        let time = pick("time", self.times(), selection.time, 0, "")?;
         if let Some(level) = selection.level {
-            pick("level", self.levels.len().max(1) as u64, Some(level), 0, &[])?;
+            pick("level", self.levels.len().max(1) as u64, Some(level), 0, "")?;
         }
         if let Some(series) = selection.series {
-            pick("series", self.series.len().max(1) as u64, Some(series), 0, &[])?;
+            pick("series", self.series.len().max(1) as u64, Some(series), 0, "")?;
         }
-        let ranges = self.axes.iter().map(|axis| match axis.role {
-            Role::Space(i) => grid.ranges[i].clone(),
-            Role::Channel => channel..channel + 1,
-            Role::Time => time..time + 1,
-            Role::Picked(i) => i..i + 1,
-            Role::Single => 0..axis.size,
+        if channels.end - channels.start > 1 && channels.end < num_channels {
+            let n = channels.end;
+            let text =
+                format!("the file has {num_channels} channels{listed}, of which the first {n} are shown");
+            warnings.push(Warning::new(WarningKind::Choice, text));
+        }
+        let selected = self.axes.iter().enumerate().map(|(i, axis)| {
+            Steps::all(match axis.role {
+                Role::Space(i) => return Steps { range: grid.ranges[i].clone(), step: grid.thin[i] },
+                // Single numbers are skipped more slowly than read.
+                Role::Channel if i == 0 && channels.end - channels.start > 1 => 0..axis.size,
+                Role::Channel => channels.clone(),
+                Role::Time => time..time + 1,
+                Role::Picked(i) => i..i + 1,
+                Role::Single => 0..axis.size,
+            })
         });
-        let ranges: Vec<Range<u64>> = ranges.collect();
-        // The product is at most 2048³.
-        let num_voxels = grid.dims().iter().map(|&d| u64::from(d)).product::<u64>();
-        let (channel, time) = (channel as u32, time as u32);
-        let chosen = Chosen { grid, channel, time, ranges, num_voxels, in_file, warnings };
-        options.check_memory(path, chosen.bytes_while_reading(self.dtype))?;
-        Ok(chosen)
+        let selected: Vec<Steps> = selected.collect();
+        let (channels, time) = (channels.start as u32..channels.end as u32, time as u32);
+        options.check_memory(path, memory.while_reading(channels.len() as u64))?;
+        Ok(Chosen { memory, grid, channels, time, selected, num_voxels, in_file, warnings })
     }
 
     /// The outline of the file with the selected part.
@@ -211,7 +275,7 @@ impl Plan {
         let level = options.selection.level.unwrap_or(self.level as u32);
         Outline {
             shown: Selection {
-                channel: Some(chosen.channel),
+                channel: (chosen.channels.len() == 1).then_some(chosen.channels.start),
                 time: Some(chosen.time),
                 level: Some(level),
                 series: Some(options.selection.series.unwrap_or(self.usual_series)),
@@ -233,6 +297,7 @@ impl Plan {
                 Vec::new()
             },
             num_channels: self.channels(),
+            joins_channels: self.num_joint.min(self.channels()) > 1,
             num_times: self.times(),
             time_step: self.time_step.filter(|_| self.times() > 1),
             levels: self.levels.clone(),
@@ -243,9 +308,8 @@ impl Plan {
             labels: self.labels.clone(),
             center: grid.placement.map(|p| p.center),
             directions: grid.placement.map(|p| p.axes),
-            // The brightness of each voxel takes one byte more, as in `Volume::bytes_in_memory`.
-            bytes_in_memory: chosen.num_voxels * (self.dtype.num_bytes_in_memory() as u64 + 1),
-            bytes_while_reading: chosen.bytes_while_reading(self.dtype),
+            bytes_in_memory: chosen.memory.when_read(chosen.channels.len() as u64),
+            bytes_while_reading: chosen.memory.while_reading(chosen.channels.len() as u64),
             warnings: chosen.warnings.clone(),
         }
     }
@@ -255,20 +319,57 @@ impl Plan {
 #[derive(Debug)]
 pub(crate) struct Chosen {
     pub(crate) grid: Grid,
-    pub(crate) channel: u32,
+    memory: Memory,
+    /// The channels to read, one or several.
+    pub(crate) channels: Range<u32>,
     pub(crate) time: u32,
-    /// The range along each axis of the plan.
-    pub(crate) ranges: Vec<Range<u64>>,
+    /// The selection along each axis of the plan.
+    pub(crate) selected: Vec<Steps>,
+    /// Voxels of a channel.
     pub(crate) num_voxels: u64,
     /// Numbers in the whole file. Their bytes fit into 64 bits.
     pub(crate) in_file: u64,
     pub(crate) warnings: Vec<Warning>,
 }
 
-impl Chosen {
-    fn bytes_while_reading(&self, dtype: Dtype) -> u64 {
-        self.num_voxels * dtype.num_bytes_in_memory() as u64 * if self.grid.is_permuted() { 2 } else { 1 }
+/// The memory of channels on one grid.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Memory {
+    pub(crate) num_voxels: u64,
+    pub(crate) dtype: Dtype,
+    /// Whether the file has its axes in another order.
+    pub(crate) is_permuted: bool,
+}
+
+impl Memory {
+    fn of_channel(self) -> u64 {
+        self.num_voxels.saturating_mul(self.dtype.num_bytes_in_memory() as u64)
     }
+
+    /// Bytes of the volume. The brightness of each voxel takes one byte more, as in [`Volume::bytes_in_memory`].
+    fn when_read(self, num_channels: u64) -> u64 {
+        self.of_channel().saturating_mul(num_channels).saturating_add(self.num_voxels)
+    }
+
+    /// Bytes during reading. One channel after the other is reordered.
+    fn while_reading(self, num_channels: u64) -> u64 {
+        self.of_channel().saturating_mul(num_channels + u64::from(self.is_permuted))
+    }
+
+    /// The larger of both.
+    pub(crate) fn needed(self, num_channels: u64) -> u64 {
+        self.when_read(num_channels).max(self.while_reading(num_channels))
+    }
+}
+
+/// How a file shows a channel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct ChannelLook {
+    /// The values that are shown darkest and brightest.
+    pub(crate) window: Option<(f64, f64)>,
+    /// Its colour, sRGB.
+    pub(crate) color: Option<[u8; 3]>,
+    pub(crate) is_hidden: bool,
 }
 
 /// A file whose header was read.
@@ -290,8 +391,44 @@ pub(crate) fn read_volume(
     file.read(&mut collector)?;
     let decoded = collector.finish()?;
     let plan = file.plan();
-    let mut warnings = chosen.warnings;
-    warnings.extend(decoded.warnings);
+    let mut volumes = Vec::new();
+    for (channel, decoded) in chosen.channels.clone().zip(decoded) {
+        volumes.push(channel_volume(plan, &chosen, channel, decoded, path)?);
+    }
+    let mut volumes = volumes.into_iter();
+    let first = volumes.next().ok_or_else(|| malformed(path, &plan.format)("no voxels".into()))?;
+    let others: Vec<Arc<Volume>> = volumes.map(Arc::new).collect();
+    let mut joint = first
+        .with_others(others.clone())
+        .map_err(|cause| FormatError::Volume { path: shown(path), cause })?;
+    let mut warnings: Vec<String> = chosen.warnings.iter().map(|w| w.text.clone()).collect();
+    warnings.append(&mut joint.info.warnings);
+    for other in others {
+        let name = &other.info.channel.name;
+        warnings.extend(other.info.warnings.iter().map(|text| format!("channel {name}: {text}")));
+    }
+    joint.info.warnings = warnings;
+    if joint.others().is_empty() && plan.num_joint == 1 {
+        let word = mark_labels(&mut joint, plan, options.reading.voxels, path)?;
+        joint.info.warnings.extend(word.map(|word| word.text));
+    }
+    Ok(joint)
+}
+
+/// The volume of one channel, with the warnings about its voxels.
+fn channel_volume(
+    plan: &Plan,
+    chosen: &Chosen,
+    channel: u32,
+    decoded: Decoded,
+    path: &Path,
+) -> Result<Volume, FormatError> {
+    let look = plan.channel_looks.get(channel as usize).copied().unwrap_or_default();
+    let name = match plan.channel_names.get(channel as usize) {
+        Some(name) if !name.is_empty() => name.clone(),
+        _ if chosen.channels.len() > 1 => channel.to_string(),
+        _ => String::new(),
+    };
     let info = VolumeInfo {
         name: file_name(path),
         dtype: plan.dtype.name().to_owned(),
@@ -300,11 +437,11 @@ pub(crate) fn read_volume(
         placement: chosen.grid.placement,
         modality: plan.modality.clone(),
         value_unit: plan.value_unit.clone(),
-        window: plan.windows.get(chosen.channel as usize).copied().flatten().and_then(window),
-        are_labels: !plan.labels.is_empty(),
+        window: look.window.and_then(window),
+        are_labels: false,
         labels: plan.labels.clone(),
-        channel: ChannelInfo::default(),
-        warnings: warnings.into_iter().map(|w| w.text).collect(),
+        channel: ChannelInfo { name, color: look.color, is_hidden: look.is_hidden },
+        warnings: decoded.warnings.into_iter().map(|w| w.text).collect(),
     };
     let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));
     let value_map = (slope as f32, (slope * offset + intercept) as f32);
@@ -317,15 +454,6 @@ pub(crate) fn read_volume(
 fn window((from, to): (f64, f64)) -> Option<(f32, f32)> {
     let (from, to) = (from as f32, to as f32);
     (from < to && from.is_finite() && to.is_finite()).then_some((from, to))
-}
-
-/// The names of the channels of an RGB or RGBA voxel with `num_channels` numbers.
-pub(crate) fn color_names(num_channels: u64) -> Vec<String> {
-    ["red", "green", "blue", "alpha"]
-        .into_iter()
-        .zip(0..num_channels)
-        .map(|(name, _)| name.to_owned())
-        .collect()
 }
 
 /// Most channels in a list.

@@ -10,7 +10,7 @@ use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, malformed, one_line};
-use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
+use crate::plan::{Axis, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::warning::WarningKind;
 
@@ -48,11 +48,11 @@ impl PngStack {
         let place = if files.len() > 1 { ", a file for each slice" } else { "" };
         let geometry = Geometry::of_image([1.0; 3], None);
         let mut plan = Plan::new(format!("PNG{place}"), dtype, Endian::Big, axes, geometry);
-        plan.channel_names = match shape.samples {
-            1 => Vec::new(),
-            2 => ["gray", "alpha"].map(str::to_owned).into(),
-            n => color_names(n.into()),
-        };
+        match shape.samples {
+            1 => {}
+            2 => plan.channel_names = ["gray", "alpha"].map(str::to_owned).into(),
+            _ => plan.set_colors(),
+        }
         plan.spacing_guess = Some("PNG pictures have no spacing; it was taken as 1".into());
         if let Some(text) = left_out {
             plan.warn(WarningKind::Data, text);

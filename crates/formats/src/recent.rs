@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{FormatError, io_error, shown, syntax_error};
 use crate::raw::RawShape;
+use crate::reading::{Meaning, Reading};
 use crate::selection::{Flip, Region, Selection};
 use crate::source::read_file;
 use crate::volume_source::VolumeSource;
@@ -145,6 +146,9 @@ struct StoredEntry {
     flip: Option<String>,
     spacing: Option<[f32; 3]>,
     stored_slices: Option<bool>,
+    voxels: Option<Meaning>,
+    thin: Option<u32>,
+    labels: Option<String>,
     raw: Option<RawShape>,
 }
 
@@ -157,6 +161,7 @@ impl StoredEntry {
         };
         let selection = volume.map_or(Selection::default(), |v| v.selection);
         let Selection { channel, time, level, series, region, flip } = selection;
+        let reading = volume.map_or_else(Reading::default, |v| v.reading.clone());
         Self {
             server,
             remote,
@@ -170,7 +175,10 @@ impl StoredEntry {
             region: region.map(|r| r.to_string()),
             flip: Some(flip).filter(|f| *f != Flip::default()).map(|f| f.to_string()),
             spacing: volume.and_then(|v| v.spacing).map(Vec3::into),
-            stored_slices: volume.is_some_and(|v| v.stored_slices).then_some(true),
+            stored_slices: reading.stored_slices.then_some(true),
+            voxels: reading.voxels,
+            thin: reading.thin,
+            labels: reading.labels,
             raw: volume.and_then(|v| v.raw),
         }
     }
@@ -194,8 +202,9 @@ impl StoredEntry {
                 let selection = Selection { channel, time, level, series, region, flip };
                 let spacing = spacing.map(Vec3::from);
                 let stored_slices = self.stored_slices == Some(true);
-                let volume =
-                    VolumeSource { raw, selection, spacing, stored_slices, ..VolumeSource::new(source) };
+                let (voxels, thin, labels) = (self.voxels, self.thin, self.labels);
+                let reading = Reading { stored_slices, voxels, thin, labels };
+                let volume = VolumeSource { raw, selection, spacing, reading, ..VolumeSource::new(source) };
                 RecentPlace::Volume(Some(volume).filter(VolumeSource::is_finite)?)
             }
             _ => return None,
@@ -258,7 +267,7 @@ mod tests {
             raw: Some(raw),
             spacing,
             selection: Selection { flip: Flip([false, true, false]), ..Selection::default() },
-            stored_slices: true,
+            reading: Reading { stored_slices: true, thin: Some(2), ..Reading::default() },
             ..VolumeSource::new(source)
         });
         RecentEntry { place, shows: "a scan".into(), used_at: 8 }

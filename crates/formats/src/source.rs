@@ -14,10 +14,13 @@ use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, quoted, shown};
 use crate::foreign::HomeFolder;
 use crate::outline::Outline;
+use crate::overlay::{bytes_of_labels, with_labels};
 use crate::plan::{Axis, Plan, VolumeFile, read_volume};
 use crate::raw::RawShape;
+use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
+use crate::web::is_address;
 use crate::{dicom, metaimage, mgh, mrc, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr};
 
 /// How to open a volume.
@@ -33,8 +36,8 @@ pub struct OpenOptions<'a> {
     pub max_bytes: u64,
     /// Whether a header may name files outside its own folder, and links in a folder may lead outside.
     pub foreign_files: bool,
-    /// Whether the slices of a DICOM series stay as they are stored, even if they are uneven, missing or tilted.
-    pub stored_slices: bool,
+    /// How the numbers become voxels.
+    pub reading: &'a Reading,
     /// Called now and then with the fraction that has been read, 0 to 1.
     pub progress: Option<&'a dyn Fn(f32)>,
     /// Set this flag to stop reading.
@@ -49,7 +52,7 @@ impl Default for OpenOptions<'_> {
             spacing: None,
             max_bytes: DEFAULT_MAX_BYTES,
             foreign_files: false,
-            stored_slices: false,
+            reading: Reading::USUAL,
             progress: None,
             cancel: None,
         }
@@ -76,18 +79,22 @@ impl OpenOptions<'_> {
     }
 }
 
-/// Opens `source`: the path of a file or folder, or `builtin:cloud|cubus|shells`. A built-in name may end with `@N`
+/// Opens `source`: the path of a file or folder, the address of an OME-Zarr image, or `builtin:cloud|cubus|shells`. A built-in name may end with `@N`
 /// for N voxels along each side. The path of a raw file needs [`OpenOptions::raw`].
 ///
 /// # Errors
 /// The file cannot be read, or its format or selection is not supported. The message is one line.
 pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
-    match source.strip_prefix("builtin:") {
-        Some(name) => open_builtin(name, options),
+    let volume = match source.strip_prefix("builtin:") {
+        Some(name) => open_builtin(name, options)?,
         None => {
-            let path = &path_of(source)?;
-            read_volume(open_path(path, options)?, path, options)
+            let (path, file) = open_source(source, options)?;
+            read_volume(file, &path, options)?
         }
+    };
+    match &options.reading.labels {
+        Some(labels) => with_labels(volume, labels, options),
+        None => Ok(volume),
     }
 }
 
@@ -96,6 +103,18 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
 /// # Errors
 /// As [`open`], except for errors in the voxels.
 pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {
+    let mut found = outline_of(source, options)?;
+    if let Some(labels) = &options.reading.labels {
+        let num_voxels = found.dims.iter().map(|&n| u64::from(n)).product();
+        let [when_read, while_reading] = bytes_of_labels(labels, num_voxels, options)?;
+        found.bytes_while_reading =
+            found.bytes_while_reading.max(found.bytes_in_memory.saturating_add(while_reading));
+        found.bytes_in_memory = found.bytes_in_memory.saturating_add(when_read);
+    }
+    Ok(found)
+}
+
+fn outline_of(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {
     let path = Path::new(source);
     if let Some(name) = source.strip_prefix("builtin:") {
         let (_, side) = builtin(name)?;
@@ -105,10 +124,20 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
         let plan = Plan::new("built-in volume", Dtype::Uint8, Endian::Little, axes, geometry);
         return Ok(plan.outline(path, &plan.choose(path, options)?, options));
     }
-    let path = &path_of(source)?;
-    let file = open_path(path, options)?;
-    let chosen = file.plan().choose(path, options)?;
-    Ok(file.plan().outline(path, &chosen, options))
+    let (path, file) = open_source(source, options)?;
+    let chosen = file.plan().choose(&path, options)?;
+    Ok(file.plan().outline(&path, &chosen, options))
+}
+
+/// Reads the header of a file, a folder or an image at an address. Returns its path, too.
+fn open_source(source: &str, options: &OpenOptions) -> Result<(PathBuf, Box<dyn VolumeFile>), FormatError> {
+    if is_address(source) {
+        let path = PathBuf::from(source.trim_end_matches('/'));
+        return Ok((path, Box::new(zarr::ZarrImage::open_web(source, options)?)));
+    }
+    let path = path_of(source)?;
+    let file = open_path(&path, options)?;
+    Ok((path, file))
 }
 
 fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
@@ -133,9 +162,10 @@ fn builtin(name: &str) -> Result<(Builtin, u32), FormatError> {
     Ok((builtin, side))
 }
 
-/// Whether `source` is a built-in volume, or names a file or folder that exists. This may wait for a disk.
+/// Whether `source` is a built-in volume, an address of the web, or names a file or folder that exists. This may wait
+/// for a disk, but asks no server.
 pub fn source_exists(source: &str) -> bool {
-    source.starts_with("builtin:") || path_of(source).is_ok_and(|path| path.exists())
+    source.starts_with("builtin:") || is_address(source) || path_of(source).is_ok_and(|path| path.exists())
 }
 
 /// The path that `source` names. Some names are no UTF-8. They have � in place of what is not, and the file whose
@@ -149,7 +179,7 @@ fn path_of(source: &str) -> Result<PathBuf, FormatError> {
         return Err(FormatError::Unsupported {
             path: shown(path),
             found: "an address",
-            expected: "the path of a file or folder on the machine that reads it",
+            expected: "a path on the machine that reads it, or OME-Zarr at http://, https:// or s3://",
         });
     }
     if !source.contains(char::REPLACEMENT_CHARACTER) {

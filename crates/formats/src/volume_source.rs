@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use crate::loading::LoadRequest;
 use crate::raw::RawShape;
+use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::source::OpenOptions;
 
@@ -20,21 +21,28 @@ pub struct VolumeSource {
     pub spacing: Option<Vec3>,
     /// Whether a header may name files outside its own folder. No state or list keeps this.
     pub foreign_files: bool,
-    /// Whether slices stay as they are stored, as for [`OpenOptions::stored_slices`].
-    pub stored_slices: bool,
+    /// How the numbers become voxels.
+    pub reading: Reading,
 }
 
 impl VolumeSource {
     /// All of `source`, without changes.
     pub fn new(source: impl Into<String>) -> Self {
         let (source, selection) = (source.into(), Selection::default());
-        Self { source, raw: None, selection, spacing: None, foreign_files: false, stored_slices: false }
+        Self {
+            source,
+            raw: None,
+            selection,
+            spacing: None,
+            foreign_files: false,
+            reading: Reading::default(),
+        }
     }
 
     /// The options to open it with the default limits.
-    pub fn options(&self) -> OpenOptions<'static> {
-        let &Self { raw, selection, spacing, foreign_files, stored_slices, .. } = self;
-        OpenOptions { raw, selection, spacing, foreign_files, stored_slices, ..OpenOptions::default() }
+    pub fn options(&self) -> OpenOptions<'_> {
+        let &Self { raw, selection, spacing, foreign_files, ref reading, .. } = self;
+        OpenOptions { raw, selection, spacing, foreign_files, reading, ..OpenOptions::default() }
     }
 
     /// Whether all of its numbers are finite.
@@ -44,15 +52,15 @@ impl VolumeSource {
 
     /// A request to load it within a limit of memory.
     pub fn request(self, max_bytes: u64) -> LoadRequest {
-        let Self { source, raw, selection, spacing, foreign_files, stored_slices } = self;
-        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices }
+        let Self { source, raw, selection, spacing, foreign_files, reading } = self;
+        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, reading }
     }
 }
 
 impl From<LoadRequest> for VolumeSource {
     fn from(request: LoadRequest) -> Self {
-        let LoadRequest { source, raw, selection, spacing, max_bytes: _, foreign_files: _, stored_slices } =
+        let LoadRequest { source, raw, selection, spacing, max_bytes: _, foreign_files: _, reading } =
             request;
-        Self { raw, selection, spacing, stored_slices, ..Self::new(source) }
+        Self { raw, selection, spacing, reading, ..Self::new(source) }
     }
 }

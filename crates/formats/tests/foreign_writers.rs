@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 use isinglass_core::volume::{Volume, Voxels};
-use isinglass_formats::{OpenOptions, Outline, Selection, open, outline};
+use isinglass_formats::{OpenOptions, Outline, Reading, Selection, open, outline};
 use support::unpack;
 
 /// The files of a folder with one of these suffixes, sorted.
@@ -404,7 +404,8 @@ fn odd_series_by_pydicom() {
 
     // Every third value is 100 more than three before it, and missing slices lie between their neighbours.
     let stored = |name: &str| {
-        let options = OpenOptions { stored_slices: true, ..OpenOptions::default() };
+        let reading = Reading { stored_slices: true, ..Reading::default() };
+        let options = OpenOptions { reading: &reading, ..OpenOptions::default() };
         open(at(name).to_str().unwrap(), &options).unwrap()
     };
     let (gap, gap_stored) = (open_path(&at("gap")), stored("gap"));

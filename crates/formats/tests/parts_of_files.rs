@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 use isinglass_core::volume::Volume;
-use isinglass_formats::{FormatError, OpenOptions, Region, Selection, WarningKind, open, outline};
+use isinglass_formats::{FormatError, OpenOptions, Reading, Region, Selection, WarningKind, open, outline};
 use tempfile::TempDir;
 
 /// Sizes along x, y, z, channels and times.
@@ -86,7 +86,9 @@ fn channel_time_and_region_choose_the_voxels() {
         let before = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap();
         assert_eq!((before.num_channels, before.num_times), (3, 2), "{path:?}");
         let choices = before.warnings.iter().filter(|w| w.kind == WarningKind::Choice).count();
-        assert_eq!(choices, 2, "{path:?}: {:?}", before.warnings);
+        // Only the colours of the NRRD file are shown together.
+        assert_eq!(before.joins_channels, path.ends_with("a.nrrd"), "{path:?}");
+        assert_eq!(choices, if before.joins_channels { 1 } else { 2 }, "{path:?}: {:?}", before.warnings);
         for (channel, time, region) in [
             (None, None, None),
             (Some(2), Some(1), None),
@@ -112,6 +114,59 @@ fn channel_time_and_region_choose_the_voxels() {
                 ]);
                 assert_eq!(volume.voxels().get(i), f32::from(expected), "{path:?} {selection:?} {at:?}");
             }
+        }
+    }
+}
+
+/// An OME-Zarr image of chunks of 2×2×2 voxels, in all channels and times.
+fn zarr(folder: &Path) -> PathBuf {
+    let path = folder.join("a.zarr");
+    fs::create_dir_all(path.join("0")).unwrap();
+    let image = r#"{"multiscales": [{"version": "0.4", "axes": ["t", "c", "z", "y", "x"], "datasets": [{"path": "0"}]}]}"#;
+    fs::write(path.join(".zattrs"), image).unwrap();
+    let array = r#"{"zarr_format": 2, "shape": [2, 3, 3, 4, 5], "chunks": [1, 1, 2, 2, 2], "dtype": "<u2",
+        "compressor": null, "filters": null, "order": "C", "fill_value": 0}"#;
+    fs::write(path.join("0/.zarray"), array).unwrap();
+    let parts = [3, 2, 2, 3, 2];
+    for n in 0..parts.iter().product() {
+        let mut rest = n;
+        let at = parts.map(|side| (rest % side, rest /= side).0);
+        let mut bytes = Vec::new();
+        for i in 0..8 {
+            let inner = [2 * at[0] + i % 2, 2 * at[1] + i / 2 % 2, 2 * at[2] + i / 4, at[3], at[4]];
+            bytes.extend(value(inner).to_le_bytes());
+        }
+        let name = at.iter().rev().map(ToString::to_string).collect::<Vec<_>>().join(".");
+        fs::write(path.join("0").join(name), bytes).unwrap();
+    }
+    path
+}
+
+#[test]
+fn thinned_volumes_have_one_voxel_in_so_many() {
+    let folder = TempDir::new().unwrap();
+    for path in [nifti, numpy, nrrd, meta_image, zarr].map(|write| write(folder.path())) {
+        for (thin, channel, region) in [(2, Some(2), None), (3, None, None), (2, Some(1), Some("1:,:,1:"))] {
+            let reading = Reading { thin: Some(thin), ..Reading::default() };
+            let region: Option<Region> = region.map(|r| r.parse().unwrap());
+            let selection = Selection { channel, time: Some(1), region, ..Selection::default() };
+            let options = OpenOptions { selection, reading: &reading, ..OpenOptions::default() };
+            let volume = open(path.to_str().unwrap(), &options).unwrap_or_else(|e| panic!("{e}"));
+            let from = region.map_or([0; 3], |r| r.min.map(|n| n as usize));
+            let (thin, dims) = (thin as usize, volume.dims().map(|n| n as usize));
+            assert_eq!(dims, [0, 1, 2].map(|k| (SIZES[k] - from[k]).div_ceil(thin)), "{path:?}");
+            assert_eq!(volume.spacing(), Vec3::splat(thin as f32));
+            assert_eq!(outline(path.to_str().unwrap(), &options).unwrap().dims, volume.dims());
+            for (i, one) in volume.channels().enumerate() {
+                let channel = channel.map_or(i, |channel| channel as usize);
+                for n in 0..dims.iter().product() {
+                    let at = [n % dims[0], n / dims[0] % dims[1], n / dims[0] / dims[1]];
+                    let [x, y, z] = [0, 1, 2].map(|k| from[k] + thin * at[k]);
+                    let expected = f32::from(value([x, y, z, channel, 1]));
+                    assert_eq!(one.voxels().get(n), expected, "{path:?} {thin} {at:?}");
+                }
+            }
+            assert!(volume.info.warnings.iter().any(|w| w.starts_with("one voxel in ")));
         }
     }
 }
@@ -169,12 +224,13 @@ fn the_estimate_is_of_the_part_and_comes_before_the_voxels() {
     let before = outline(path.to_str().unwrap(), &options).unwrap();
     assert_eq!((before.dims, before.whole_dims), ([100, 100, 50], [2000, 3000, 4000]));
     assert_eq!((before.bytes_in_memory, before.bytes_while_reading), (1_500_000, 1_000_000));
-    // The whole does not fit into a texture, and the file has no voxels at all.
+    // The whole is thinned to fit into a texture.
+    let whole =
+        outline(path.to_str().unwrap(), &OpenOptions { max_bytes: u64::MAX, ..OpenOptions::default() });
+    assert_eq!(whole.unwrap().dims, [2000, 1500, 2000]);
     let message = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
-    assert!(
-        message.contains("axis 1 has 3000 voxels, expected 1 to 2048; a region can be taken"),
-        "{message}"
-    );
+    assert!(message.contains("needs 12000000000 bytes of memory"), "{message}");
+    // The file has no voxels at all.
     let message = open(path.to_str().unwrap(), &options).unwrap_err().to_string();
     assert!(message.contains("needs 48000000000 bytes, found 0"), "{message}");
     // If the file is long enough (it has a hole), the part is read and the rest skipped.

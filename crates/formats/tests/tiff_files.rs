@@ -23,13 +23,15 @@ struct Page {
     resolution: Option<[u32; 2]>,
     /// More tags with one number.
     more: Vec<(u16, u32)>,
+    /// More tags with their type, the number of their values and the bytes.
+    blocks: Vec<(u16, u32, u32, Vec<u8>)>,
     pixels: Vec<u16>,
 }
 
 impl Page {
     fn new(sides: [u32; 2], pixels: Vec<u16>) -> Self {
-        let (description, resolution, more) = (None, None, Vec::new());
-        Self { sides, description, photometric: 1, format: 1, resolution, more, pixels }
+        let (description, resolution, more, blocks) = (None, None, Vec::new(), Vec::new());
+        Self { sides, description, photometric: 1, format: 1, resolution, more, blocks, pixels }
     }
 
     fn described(self, text: &str) -> Self {
@@ -74,6 +76,9 @@ fn tiff(pages: &[Page]) -> Vec<u8> {
         if let Some(text) = &page.description {
             let text = [text.as_bytes(), b"\0\0\0\0"].concat();
             entries.push([270, 2, text.len() as u32, put(&text)]);
+        }
+        for (tag, kind, count, block) in &page.blocks {
+            entries.push([u32::from(*tag), *kind, *count, put(block)]);
         }
         if let Some(resolution) = page.resolution {
             for (tag, pixels) in [282, 283].into_iter().zip(resolution) {
@@ -417,6 +422,60 @@ fn stacks_of_imagej_have_their_order_and_steps() {
     one.more = vec![(259, 32_773)];
     let text = message(&write(folder.path(), "c.tif", &[one]), Selection::default());
     assert!(text.contains("its description has 12 planes, but there is one page, packed"), "{text}");
+}
+
+#[test]
+fn channels_of_imagej_have_its_colours_and_ranges() {
+    let folder = TempDir::new().unwrap();
+    let text = "ImageJ=1.54f\nimages=4\nchannels=2\nslices=2\nhyperstack=true\nmode=composite\n";
+    let mut all = pages([3, 2], 4, 0);
+    all[0].description = Some(text.into());
+    // Two tables of colours and a list of ranges (ij.io.TiffEncoder).
+    let table = |color: [u16; 3]| -> Vec<u8> {
+        color.iter().flat_map(|c| (0..256).map(move |i| (i * c / 255) as u8)).collect()
+    };
+    let kind = |name: &[u8; 4], count: u32| {
+        let mut name = *name;
+        name.reverse();
+        [&name[..], &count.to_le_bytes()].concat()
+    };
+    let ranges: Vec<u8> = [5.0f64, 90.0, 1.0, 9.0].iter().flat_map(|x| x.to_le_bytes()).collect();
+    let list = [b"JIJI".to_vec(), kind(b"luts", 2), kind(b"rang", 1)].concat();
+    let blocks = [list, table([255, 0, 255]), table([0, 255, 0]), ranges];
+    let lengths: Vec<u8> = blocks.iter().flat_map(|b| (b.len() as u32).to_le_bytes()).collect();
+    let bytes = blocks.concat();
+    all[0].blocks = vec![(50_838, 4, 4, lengths), (50_839, 1, bytes.len() as u32, bytes)];
+    let volume = whole(&write(folder.path(), "a.tif", &all));
+    let looks: Vec<_> = volume.channels().map(|v| (v.info.channel.color, v.info.window)).collect();
+    let expected = [(Some([255, 0, 255]), Some((5.0, 90.0))), (Some([0, 255, 0]), Some((1.0, 9.0)))];
+    assert_eq!(looks, expected);
+    let found: Vec<Vec<f32>> = volume.channels().map(values).collect();
+    assert_eq!(
+        found,
+        [[numbers(0..6), numbers(12..18)].concat(), [numbers(6..12), numbers(18..24)].concat()]
+    );
+    // A block that is cut says nothing.
+    all[0].blocks[1].3.truncate(100);
+    all[0].blocks[1].2 = 100;
+    let volume = whole(&write(folder.path(), "b.tif", &all));
+    assert_eq!((volume.others().len(), volume.info.channel.color), (1, None));
+}
+
+#[test]
+fn channels_of_ome_have_names_and_colours() {
+    let folder = TempDir::new().unwrap();
+    // Magenta and opaque, and green with a sign left out.
+    let text = r#"<?xml version="1.0"?><OME><Image><Pixels DimensionOrder="XYZCT" SizeX="3" SizeY="2" SizeZ="2"
+        SizeC="2" SizeT="1" Type="uint16"><Channel Name="DAPI" Color="-16711681"/><Channel Name="GFP"
+        Color="16711935"/><TiffData/></Pixels></Image></OME>"#;
+    let mut all = pages([3, 2], 4, 0);
+    all[0].description = Some(text.into());
+    let volume = whole(&write(folder.path(), "a.ome.tif", &all));
+    let looks: Vec<_> =
+        volume.channels().map(|v| (&v.info.channel.name[..], v.info.channel.color, values(v))).collect();
+    assert_eq!(looks[0], ("DAPI", Some([255, 0, 255]), numbers(0..12)));
+    assert_eq!(looks[1], ("GFP", Some([0, 255, 0]), numbers(12..24)));
+    assert_eq!(looks.len(), 2);
 }
 
 /// Slides are only named, because most are in a JPEG 2000 variant (33003).

@@ -68,7 +68,7 @@ impl FileLoader {
         self.transfer.clone().unwrap_or_else(suitable)
     }
 
-    fn options(&self, selection: Selection) -> OpenOptions<'static> {
+    fn options(&self, selection: Selection) -> OpenOptions<'_> {
         OpenOptions { selection, ..self.request.options() }
     }
 }
@@ -99,6 +99,7 @@ fn parts_of(outline: &Outline) -> Choices {
         shown: part_of(&outline.shown),
         whole_dims: outline.whole_dims,
         num_channels: count(outline.num_channels),
+        joins_channels: outline.joins_channels,
         channels: outline.channels.clone(),
         num_times: count(outline.num_times),
         time_step: outline.time_step.map(|seconds| seconds as f32).filter(|s| s.is_finite() && *s > 0.0),

@@ -336,7 +336,7 @@ impl SelectionReader {
                 told.permille.store(permille, Ordering::Relaxed);
                 tell();
             };
-            let loaded = loader.load(&part, &progress, &cancelled).map_err(NotRead::Failed)?;
+            let loaded = loader.load(&survey.parts.shown, &progress, &cancelled).map_err(NotRead::Failed)?;
             if cancelled.load(Ordering::Relaxed) {
                 return Err(NotRead::Failed("cancelled".into()));
             }

@@ -28,7 +28,7 @@ use isinglass_core::picture::Picture;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::space::Aabb;
 use isinglass_core::volume::Lighting;
-use isinglass_formats::{OpenOptions, RawShape, Selection};
+use isinglass_formats::{OpenOptions, RawShape, Reading, Selection};
 use isinglass_net::{Link, LinkModel};
 use isinglass_render::{Backend, BackendChoice};
 use isinglass_server::{RunningServer, ServeOptions, Timing, start};
@@ -73,8 +73,8 @@ pub struct DemoOptions {
     pub spacing: Option<Vec3>,
     /// Whether a header may name files outside its own folder.
     pub foreign_files: bool,
-    /// Whether uneven slices stay as they are stored.
-    pub stored_slices: bool,
+    /// How numbers become voxels.
+    pub reading: Reading,
     /// Most memory for the volume, bytes.
     pub max_bytes: u64,
     /// Preset or file; `None` for the one that suits the volume.
@@ -125,7 +125,7 @@ impl Default for DemoOptions {
             selection: Selection::default(),
             spacing: None,
             foreign_files: false,
-            stored_slices: false,
+            reading: Reading::default(),
             max_bytes: OpenOptions::default().max_bytes,
             transfer: None,
             shaded: true,
@@ -285,7 +285,7 @@ impl DemoOptions {
             spacing,
             max_bytes,
             foreign_files: self.foreign_files,
-            stored_slices: self.stored_slices,
+            reading: &self.reading,
             ..OpenOptions::default()
         };
         let settings = MarchSettings { clip, mode, isos, ..MarchSettings::of(self.shaded, self.lighting) };

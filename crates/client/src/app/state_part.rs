@@ -40,7 +40,7 @@ impl StatePart {
             std::array::from_fn(|i| [r.min[i], end(i)])
         });
         let wanted = Part {
-            channel: saved.channel.or(now.channel),
+            channel: saved.channel.or(if parts.joins_channels { None } else { now.channel }),
             time: saved.time.or(now.time),
             level: saved.level.or(now.level),
             series: saved.series.or(now.series),
@@ -143,6 +143,11 @@ mod tests {
         assert_eq!(of(|v| (v.channel, v.range) = (Some(2), range)), other(Part { channel: Some(2), ..now }));
         assert_eq!(of(|v| (v.time, v.range) = (Some(3), range)), other(Part { time: Some(3), ..now }));
         assert_eq!(of(|v| (v.level, v.dims) = (Some(1), [4; 3])), other(Part { level: Some(1), ..now }));
+        // No channel is all of them, if the file shows them together.
+        assert_eq!(of(|v| v.channel = None), StatePart::Shown);
+        let joined = Choices { joins_channels: true, ..parts() };
+        let all = StatePart::of(&saved(|v| v.channel = None), &shown(), &joined);
+        assert_eq!(all, other(Part { channel: None, ..now }));
         // Of another series nothing is known before it is read.
         assert_eq!(of(|v| (v.series, v.dims) = (Some(1), [77; 3])), other(Part { series: Some(1), ..now }));
         // A state of a program that named no part.

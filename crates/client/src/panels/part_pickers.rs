@@ -36,6 +36,22 @@ pub(crate) fn list(
     *chosen != before
 }
 
+/// A list of channels. Where they can be shown together, all of them come first, which no number stands for.
+pub(crate) fn channel_list(
+    ui: &mut Ui,
+    number: usize,
+    joins_channels: bool,
+    chosen: &mut Option<u32>,
+    name: impl Fn(u32) -> String,
+) {
+    let first = u32::from(joins_channels);
+    let mut index = chosen.map_or(0, |channel| channel.saturating_add(first));
+    let name = |i: u32| i.checked_sub(first).map_or_else(|| "all".to_owned(), &name);
+    if list(ui, "channel", number + first as usize, &mut index, name) {
+        *chosen = index.checked_sub(first);
+    }
+}
+
 /// Up and down choose the entry before and the next one of a closed list, as everywhere in the system.
 fn step_by_keys(ui: &Ui, list: &Response, chosen: &mut u32, number: u32) {
     let filter = EventFilter { vertical_arrows: true, ..Default::default() };
@@ -97,5 +113,28 @@ mod tests {
         press(&mut h, Key::ArrowUp);
         assert_eq!(*h.state(), 1);
         assert!(h.get_by_role_and_label(Role::ComboBox, "channel").is_focused(), "the list keeps the focus");
+    }
+
+    #[test]
+    fn all_channels_come_before_the_first_where_they_can_be_shown_together() {
+        for (joins_channels, steps) in
+            [(true, [Some(0), Some(1), Some(1)]), (false, [Some(1), Some(1), Some(1)])]
+        {
+            let show = move |ui: &mut Ui, chosen: &mut Option<u32>| {
+                channel_list(ui, 2, joins_channels, chosen, |i| i.to_string());
+            };
+            let mut h = Harness::new_ui_state(show, None);
+            h.get_by_role_and_label(Role::ComboBox, "channel").focus();
+            h.run();
+            for expected in steps {
+                h.key_press_modifiers(Modifiers::NONE, Key::ArrowDown);
+                h.run();
+                assert_eq!(*h.state(), expected, "{joins_channels}");
+            }
+            h.key_press_modifiers(Modifiers::NONE, Key::ArrowUp);
+            h.key_press_modifiers(Modifiers::NONE, Key::ArrowUp);
+            h.run();
+            assert_eq!(*h.state(), if joins_channels { None } else { Some(0) });
+        }
     }
 }

@@ -10,7 +10,7 @@ use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{Choices, LoadState, LoadStatus, Part};
 use lucide_icons::Icon;
 
-use super::part_pickers::{label, list, numbered, time_field};
+use super::part_pickers::{channel_list, label, list, numbered, time_field};
 use super::style::{amber, icon, named, pane_at};
 use super::text::{format_bytes, format_duration};
 use crate::input::bindings::{Action, Bindings};
@@ -259,11 +259,8 @@ fn pickers(
         label(ui, &format!("of 0 to {last}"));
     }
     if parts.num_channels > 1 {
-        let mut channel = chosen.channel.unwrap_or(0);
         let name = |i: u32| numbered(i, parts.channels.get(i as usize));
-        if list(ui, "channel", parts.num_channels as usize, &mut channel, name) {
-            chosen.channel = Some(channel);
-        }
+        channel_list(ui, parts.num_channels as usize, parts.joins_channels, &mut chosen.channel, name);
     }
     if parts.levels.len() > 1 {
         let mut level = chosen.level.unwrap_or(0);
@@ -301,7 +298,7 @@ fn in_words(part: &Part) -> String {
 fn whole(part: Part, parts: &Choices) -> Part {
     let shown = parts.shown;
     Part {
-        channel: part.channel.or(shown.channel),
+        channel: part.channel.or(if parts.joins_channels { None } else { shown.channel }),
         time: part.time.or(shown.time),
         level: part.level.or(shown.level),
         series: part.series.or(shown.series),

@@ -11,8 +11,8 @@ use crate::ids::LoadId;
 use crate::look::MAX_NAME_BYTES;
 use crate::text::printable;
 
-/// A part of a file. A field without a value stands for the default: the first channel and time, the finest level
-/// that fits into memory, the largest series, all voxels.
+/// A part of a file. A field without a value stands for the default: all channels that can be shown together or else
+/// the first, the first time, the finest level that fits into memory, the largest series, all voxels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Part {
     /// Channel, component or array, from 0.
@@ -32,12 +32,14 @@ pub struct Part {
 /// The choices in a file, and the shown part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Choices {
-    /// The shown part. Channel, time, level and series have values.
+    /// The shown part. Time, level and series have values. Without a channel, several are shown together.
     pub shown: Part,
     /// Voxels along x, y, z of the whole, at the shown level and in the shown series.
     pub whole_dims: [u64; 3],
     /// Number of channels.
     pub num_channels: u32,
+    /// Whether the channels can be shown together.
+    pub joins_channels: bool,
     /// Names of the first channels.
     pub channels: Vec<String>,
     /// Number of points in time.
@@ -173,6 +175,7 @@ mod tests {
             },
             whole_dims: [5, 4, 3],
             num_channels: 3,
+            joins_channels: true,
             channels: vec!["DAPI".into(), "GFP".into(), "2".into()],
             num_times: 7,
             time_step: Some(2.5),

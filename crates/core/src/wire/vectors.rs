@@ -220,6 +220,7 @@ fn server_messages() -> Vec<ServerMessage> {
             shown: part(),
             whole_dims: [1, 2, 3],
             num_channels: 2,
+            joins_channels: true,
             channels: vec!["a".into(), "b".into()],
             num_times: 3,
             time_step: Some(0.5),

@@ -27,7 +27,7 @@ use self::shape::Shape;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, not_there, shown};
-use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
+use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
@@ -181,7 +181,7 @@ impl DicomVolume for DicomFiles {
 impl DicomFiles {
     fn new(series: Series, files: Vec<PathBuf>, is_lone_slice: bool, options: &OpenOptions) -> Self {
         let shape = series.shape;
-        let stacked = series.stack(options.stored_slices);
+        let stacked = series.stack(options.reading.stored_slices);
         let Stacked { frames, num_slices, num_times, resampling, .. } = stacked;
         let scale = frames[0].scale.clone();
         let linear = match scale {
@@ -212,9 +212,10 @@ impl DicomFiles {
         plan.value_unit = stacked.value_unit.filter(|_| !shape.is_inverted);
         // Slices may have windows of their own. That in the middle of the stack stands for all.
         let window = frames.get(num_slices / 2).and_then(|frame| frame.window);
-        plan.windows = vec![window.filter(|_| shape.samples == 1 && !shape.is_inverted)];
+        let window = window.filter(|_| shape.samples == 1 && !shape.is_inverted);
+        plan.channel_looks = vec![ChannelLook { window, ..ChannelLook::default() }];
         if shape.samples == 3 {
-            plan.channel_names = color_names(3);
+            plan.set_colors();
         }
         for (kind, text) in stacked.warnings {
             plan.warn(kind, text);

@@ -203,6 +203,7 @@ impl Segmentation {
         let mut plan = Plan::new(format, dtype, Endian::Little, Axis::in_space(dims), geometry);
         plan.modality = self.modality.take();
         plan.spacing_guess = self.spacing_guess.take();
+        plan.are_labels = true;
         plan.labels = std::mem::take(&mut self.labels);
         if let Kind::Fractional(..) = self.kind {
             let text = "a voxel has the label of the segment that fills most of it, if that is at least half";

@@ -6,7 +6,7 @@ use isinglass_core::text::printable;
 use super::header::{NrrdHeader, Space};
 use crate::axes::{Geometry, World};
 use crate::error::HeaderError;
-use crate::plan::{Axis, Role, color_names};
+use crate::plan::{Axis, Role};
 use crate::warning::{Warning, WarningKind};
 
 #[derive(Debug, PartialEq)]
@@ -14,7 +14,8 @@ pub(super) struct Axes {
     /// Each axis of the file, and a third spatial axis if the file has two.
     pub(super) axes: Vec<Axis>,
     pub(super) geometry: Geometry,
-    pub(super) channel_names: Vec<String>,
+    /// Whether the channels are red, green, blue and perhaps opacity.
+    pub(super) are_colors: bool,
     pub(super) warnings: Vec<Warning>,
 }
 
@@ -34,14 +35,14 @@ impl Axes {
         if kept.len() == 2 {
             axes.push(Axis { size: 1, role: Role::Space(2) });
         }
-        let channel_names = other_roles(header, &mut axes, kept[0])?;
+        let are_colors = other_roles(header, &mut axes, kept[0])?;
         let steps = steps(header, &kept, &mut warnings)?;
         let is_body = header.directions.is_some() && matches!(header.space, Space::Anatomical(_));
         let world = if is_body { World::Body } else { World::Space };
         let has_directions = header.directions.is_some();
         let origin = header.origin.filter(|_| has_directions).map(|o| in_space(header, o));
         let unit = unit(header, &kept, &mut warnings);
-        Ok(Self { axes, geometry: Geometry { steps, origin, world, unit }, channel_names, warnings })
+        Ok(Self { axes, geometry: Geometry { steps, origin, world, unit }, are_colors, warnings })
     }
 }
 
@@ -74,13 +75,9 @@ fn spatial_axes(header: &NrrdHeader) -> Result<Vec<usize>, HeaderError> {
     Ok(kept)
 }
 
-/// Assigns channels and time to the other axes. Returns the names of the channels.
-fn other_roles(
-    header: &NrrdHeader,
-    axes: &mut [Axis],
-    first_in_space: usize,
-) -> Result<Vec<String>, HeaderError> {
-    let mut names = Vec::new();
+/// Assigns channels and time to the other axes. Returns whether the channels are colours.
+fn other_roles(header: &NrrdHeader, axes: &mut [Axis], first_in_space: usize) -> Result<bool, HeaderError> {
+    let mut are_colors = false;
     for i in 0..header.sizes.len() {
         if axes[i].role != Role::Single || axes[i].size == 1 {
             continue;
@@ -102,11 +99,9 @@ fn other_roles(
             }
         };
         axes[i].role = role;
-        if role == Role::Channel && matches!(kind.as_str(), "rgb-color" | "rgba-color") {
-            names = color_names(axes[i].size);
-        }
+        are_colors |= role == Role::Channel && matches!(kind.as_str(), "rgb-color" | "rgba-color");
     }
-    Ok(names)
+    Ok(are_colors)
 }
 
 /// Converts a vector from the space of the header to the world of volumes.
@@ -199,7 +194,7 @@ mod tests {
     fn grid(fields: &str) -> Result<(Grid, Vec<String>), HeaderError> {
         let axes = axes(fields)?;
         let size = |i| axes.axes.iter().find(|a| a.role == Role::Space(i)).unwrap().size;
-        let grid = Grid::arrange([size(0), size(1), size(2)], &axes.geometry, None)
+        let grid = Grid::arrange([size(0), size(1), size(2)], &axes.geometry, None, 1)
             .map_err(HeaderError::Contradiction)?;
         let warnings = axes.warnings.iter().chain(&grid.warnings).map(ToString::to_string).collect();
         Ok((grid, warnings))
@@ -284,7 +279,7 @@ mod tests {
         let space = [Space(0), Space(1), Space(2)];
         let color = "dimension: 4\nsizes: 3 4 3 2\nkinds: RGB-color domain domain domain";
         assert_eq!(roles(color), [&[Channel], &space[..]].concat());
-        assert_eq!(axes(color).unwrap().channel_names, ["red", "green", "blue"]);
+        assert!(axes(color).unwrap().are_colors);
         assert_eq!(roles("dimension: 4\nsizes: 5 4 3 2"), [&space[..], &[Time]].concat());
         assert_eq!(roles("dimension: 4\nsizes: 5 4 3 1"), [&space[..], &[Single]].concat());
         assert_eq!(roles("dimension: 5\nsizes: 5 4 3 2 2"), [&space[..], &[Time, Channel]].concat());

@@ -4,6 +4,7 @@
 
 use std::io::{BufRead, Read};
 
+use super::segments::Segments;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{HeaderError, quoted};
 use crate::file_list::{MAX_DATA_FILES, numbered_names};
@@ -31,6 +32,7 @@ pub(super) struct NrrdHeader {
     pub(super) line_skip: u64,
     pub(super) byte_skip: ByteSkip,
     pub(super) data: DataFiles,
+    pub(super) segments: Segments,
     pub(super) warnings: Vec<String>,
 }
 
@@ -151,6 +153,7 @@ struct Fields {
     text: [Option<String>; FIELD_NAMES.len()],
     /// File names after `data file: LIST`.
     list: Vec<String>,
+    segments: Segments,
     warnings: Vec<String>,
 }
 
@@ -160,8 +163,9 @@ impl Fields {
         let Some((name, value)) = line.split_once(':') else {
             return Err(HeaderError::Line { line: number, found: quoted(line) });
         };
-        if value.starts_with('=') {
-            return Ok(()); // a key with its value: meant for the program that wrote it
+        if let Some(value) = value.strip_prefix('=') {
+            self.segments.take(name, value); // other keys are meant for the program that wrote them
+            return Ok(());
         }
         let folded = |s: &str| s.to_ascii_lowercase().replace([' ', '\t'], "");
         let name = folded(name);
@@ -282,6 +286,7 @@ impl Fields {
             line_skip,
             byte_skip,
             data: self.data_files(dimension)?,
+            segments: std::mem::take(&mut self.segments),
             warnings: std::mem::take(&mut self.warnings),
         })
     }

@@ -2,6 +2,7 @@
 
 mod axes;
 mod header;
+mod segments;
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Seek, SeekFrom};
@@ -48,7 +49,11 @@ impl NrrdFile {
         let place = if header.data == DataFiles::Attached { "" } else { ", detached" };
         let format = format!("NRRD, {encoding}{place}");
         let mut plan = Plan::new(format, header.dtype, header.endian, axes.axes, axes.geometry);
-        plan.channel_names = axes.channel_names;
+        if axes.are_colors {
+            plan.set_colors();
+        }
+        plan.are_labels = !header.segments.is_empty();
+        plan.labels = header.segments.labels(options.selection.channel.unwrap_or(0));
         plan.value_unit = header.sample_units.as_deref().and_then(value_unit);
         plan.warnings = header.warnings.iter().map(|w| Warning::new(WarningKind::Data, w.clone())).collect();
         plan.warnings.extend(axes.warnings);

@@ -42,6 +42,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::{FormatError, quoted, shown};
 use crate::raw::RawShape;
+use crate::reading::{Meaning, Reading};
 use crate::selection::{Flip, Selection};
 use crate::source::{read_file, source_exists};
 use crate::transfer::rgb_from_hex;
@@ -95,6 +96,12 @@ pub struct SavedVolume {
     pub given_spacing: Option<[f32; 3]>,
     /// Whether slices stay as they are stored, in the form of `--stored-slices`.
     pub stored_slices: Option<bool>,
+    /// What the voxels mean, in the form of `--voxels`.
+    pub voxels: Option<Meaning>,
+    /// One voxel in so many is taken, in the form of `--thin`.
+    pub thin: Option<u32>,
+    /// The path of a file with labels, in the form of `--labels`.
+    pub labels: Option<String>,
     /// The shape of a raw file.
     pub raw: Option<RawShape>,
     /// Voxels along x, y, z.
@@ -120,13 +127,28 @@ impl SavedVolume {
 
     /// The same volume, opened from `volume`.
     pub fn opened_from(self, volume: &VolumeSource) -> Self {
-        let VolumeSource { source, raw, selection, spacing, foreign_files: _, stored_slices } =
-            volume.clone();
+        let VolumeSource { source, raw, selection, spacing, foreign_files: _, reading } = volume.clone();
+        let Reading { stored_slices, voxels, thin, labels } = reading;
         let Selection { channel, time, level, series, region, flip } = selection;
         let (region, given_spacing) = (region.map(|r| r.to_string()), spacing.map(Vec3::into));
         let flip = Some(flip).filter(|f| *f != Flip::default()).map(|f| f.to_string());
         let (source, stored_slices) = (Some(source), stored_slices.then_some(true));
-        Self { source, channel, time, level, series, region, flip, given_spacing, stored_slices, raw, ..self }
+        Self {
+            source,
+            channel,
+            time,
+            level,
+            series,
+            region,
+            flip,
+            given_spacing,
+            stored_slices,
+            voxels,
+            thin,
+            labels,
+            raw,
+            ..self
+        }
     }
 
     /// The source to open, if it is known and not a server.
@@ -137,11 +159,12 @@ impl SavedVolume {
         let Some(source) = self.source.clone().filter(|_| self.link().is_none()) else { return Ok(None) };
         let (selection, spacing) = (self.selection()?, self.given_spacing.map(Vec3::from));
         let stored_slices = self.stored_slices == Some(true);
+        let (voxels, thin, labels) = (self.voxels, self.thin, self.labels.clone());
         Ok(Some(VolumeSource {
             raw: self.raw,
             selection,
             spacing,
-            stored_slices,
+            reading: Reading { stored_slices, voxels, thin, labels },
             ..VolumeSource::new(source)
         }))
     }
@@ -164,7 +187,7 @@ impl SavedVolume {
 
     /// The same volume without its source, which may be private.
     pub fn without_place(self) -> Self {
-        Self { source: None, server: None, given_spacing: None, raw: None, ..self }
+        Self { source: None, server: None, given_spacing: None, labels: None, raw: None, ..self }
     }
 
     /// Whether the source is a file that exists or a built-in volume. This may wait for a disk.

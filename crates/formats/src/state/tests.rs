@@ -6,6 +6,7 @@ use isinglass_core::volume::{Lighting, SlabMode};
 
 use super::*;
 use crate::dtype::{Dtype, Endian};
+use crate::reading::{Meaning, Reading};
 
 /// Numbers without a short decimal.
 fn odd(i: u32) -> f32 {
@@ -68,6 +69,8 @@ fn state(seed: u32) -> SavedState {
             given_spacing: (seed % 3 == 1).then(|| [0.1, odd(seed), 2.0]),
             flip: (seed % 3 == 1).then(|| "x,z".into()),
             stored_slices: (seed % 3 == 1).then_some(true),
+            voxels: (seed % 3 == 1).then_some(Meaning::Labels),
+            labels: (seed % 3 == 1).then(|| "/data/l.nii".into()),
             raw: (seed % 2 == 1).then(|| raw(seed)),
             dims: [5, 6, 7],
             spacing: [0.1, odd(seed), 3.0],
@@ -247,7 +250,12 @@ fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
         selection,
         spacing: volume.given_spacing.map(Vec3::from),
         foreign_files: false,
-        stored_slices: true,
+        reading: Reading {
+            stored_slices: true,
+            voxels: Some(Meaning::Labels),
+            thin: None,
+            labels: Some("/data/l.nii".into()),
+        },
     };
     assert_eq!(volume.volume_source(), Ok(Some(source.clone())));
     let opened = SavedVolume { time: None, raw: None, ..volume.clone() }.opened_from(&source);

@@ -1,6 +1,7 @@
 //! ImageJ's description of a hyperstack, in lines of `name=value`.
 
 use super::{PlaneAxis, Stack};
+use crate::plan::ChannelLook;
 use crate::units::{length_unit, time_step, time_unit, value_unit};
 
 /// Whether a description is ImageJ's.
@@ -9,7 +10,7 @@ pub(super) fn is_imagej(text: &str) -> bool {
 }
 
 /// The stack of a description. `resolution` has pixels per unit along x and y.
-pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
+pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2], metadata: Option<&Metadata>) -> Stack {
     let get =
         |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).map(str::trim);
     let count = |name: &str| get(name).and_then(|v| v.parse::<u64>().ok()).unwrap_or(1).max(1);
@@ -31,14 +32,17 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
         (None, Some(depth)) => [Some(1.0), Some(1.0), Some(depth)],
         _ => [in_plane(0), in_plane(1).map(|y| y * in_own("yunit")), depth.map(|z| z * in_own("zunit"))],
     };
+    let value_map = value_map(get("cf"), number("c1"), number("c0"));
     Stack {
         axes: vec![(PlaneAxis::Channel, channels), (PlaneAxis::Z, slices), (PlaneAxis::Time, frames)],
         spacing,
         unit: unit.filter(|u| !u.is_empty()).map(str::to_owned),
         channel_names: Vec::new(),
+        channel_looks: metadata.map_or(Vec::new(), |m| m.looks(value_map)),
+        has_channels: true,
         planes: None,
         series: Vec::new(),
-        value_map: value_map(get("cf"), number("c1"), number("c0")),
+        value_map,
         value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(value_unit),
         time_step: interval(number("finterval"), get("tunit"), number("fps")),
         guess: None,
@@ -50,6 +54,73 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2]) -> Stack {
 fn interval(interval: Option<f64>, unit: Option<&str>, frames_per_second: Option<f64>) -> Option<f64> {
     let told = interval.and_then(|interval| time_step(interval * time_unit(unit.unwrap_or("sec"))?));
     told.or_else(|| time_step(1.0 / frames_per_second?))
+}
+
+/// What ImageJ writes into tags of its own: a table of colours and a range of values for each channel.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Metadata {
+    colors: Vec<Option<[u8; 3]>>,
+    ranges: Vec<(f64, f64)>,
+}
+
+impl Metadata {
+    /// Parses `bytes`, which are blocks of these `lengths`. The first block lists the kinds of the others.
+    pub(super) fn of(bytes: &[u8], lengths: &[u32]) -> Option<Self> {
+        let (list, lengths) = lengths.split_first()?;
+        let (list, mut rest) = bytes.split_at_checked(*list as usize)?;
+        let (magic, kinds) = list.split_at_checked(4)?;
+        let is_little = match magic {
+            b"IJIJ" => false,
+            b"JIJI" => true,
+            _ => return None,
+        };
+        let mut found = Self::default();
+        let mut lengths = lengths.iter();
+        for kind in kinds.as_chunks::<8>().0 {
+            let (mut name, count) =
+                ([kind[0], kind[1], kind[2], kind[3]], [kind[4], kind[5], kind[6], kind[7]]);
+            let count = if is_little { u32::from_le_bytes(count) } else { u32::from_be_bytes(count) };
+            if is_little {
+                name.reverse();
+            }
+            for length in lengths.by_ref().take(count as usize) {
+                let block;
+                (block, rest) = rest.split_at_checked(*length as usize)?;
+                match &name {
+                    b"luts" => found.colors.push(color(block)),
+                    b"rang" => {
+                        let number = |b: [u8; 8]| {
+                            if is_little { f64::from_le_bytes(b) } else { f64::from_be_bytes(b) }
+                        };
+                        let numbers: Vec<f64> = block.as_chunks().0.iter().map(|b| number(*b)).collect();
+                        found.ranges = numbers.as_chunks::<2>().0.iter().map(|[a, b]| (*a, *b)).collect();
+                    }
+                    _ => {}
+                }
+            }
+        }
+        Some(found)
+    }
+
+    /// How each channel is shown. Ranges are of numbers, and `slope` and `intercept` turn them into values.
+    fn looks(&self, (slope, intercept): (f64, f64)) -> Vec<ChannelLook> {
+        let value = |number: f64| slope * number + intercept;
+        let look = |i: usize| ChannelLook {
+            window: self.ranges.get(i).map(|&(a, b)| (value(a), value(b))),
+            color: self.colors.get(i).copied().flatten(),
+            is_hidden: false,
+        };
+        (0..self.colors.len().max(self.ranges.len())).map(look).collect()
+    }
+}
+
+/// The colour of a table of 256 reds, greens and blues that goes evenly from black to it.
+fn color(table: &[u8]) -> Option<[u8; 3]> {
+    let table: &[u8; 768] = table.try_into().ok()?;
+    let at = |i: usize| [table[i], table[256 + i], table[512 + i]];
+    let (black, middle, last) = (at(0), at(128), at(255));
+    let is_even = (0..3).all(|c| black[c] < 8 && middle[c].abs_diff(last[c] / 2) < 8);
+    (is_even && last != [0; 3]).then_some(last)
 }
 
 /// Whether lengths are in pixels.
@@ -74,7 +145,7 @@ mod tests {
     fn steps_have_their_unit_along_each_axis() {
         let told = |lines: &str| {
             let text = format!("ImageJ=1.54f\nimages=4\nslices=4\n{lines}\n");
-            let Stack { spacing, unit, .. } = stack(&text, &[Some(4.0), Some(2.0)]);
+            let Stack { spacing, unit, .. } = stack(&text, &[Some(4.0), Some(2.0)], None);
             (spacing.map(|s| s.unwrap_or(0.0)), unit)
         };
         for (name, expected) in [

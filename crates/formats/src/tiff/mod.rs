@@ -20,7 +20,7 @@ use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, not_there};
-use crate::plan::{Axis, Plan, Role, VolumeFile, color_names};
+use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
@@ -51,6 +51,9 @@ pub(super) struct Stack {
     pub(super) spacing: [Option<f64>; 3],
     pub(super) unit: Option<String>,
     pub(super) channel_names: Vec<String>,
+    pub(super) channel_looks: Vec<ChannelLook>,
+    /// Whether the description calls its channels so. Otherwise, an axis is taken for one.
+    pub(super) has_channels: bool,
     /// The page of each plane, unless they are in order.
     pub(super) planes: Option<Vec<Option<PageLocation>>>,
     /// Descriptions of the series of the file; empty if there is only one.
@@ -92,6 +95,8 @@ impl Stack {
             spacing: [spacing(0), spacing(1), None],
             unit: group.unit_mm.map(|_| "mm".to_owned()),
             channel_names: Vec::new(),
+            channel_looks: Vec::new(),
+            has_channels: false,
             planes: None,
             series: Vec::new(),
             value_map: (1.0, 0.0),
@@ -106,6 +111,7 @@ impl Stack {
     fn read_as_slices(&mut self, num_planes: u64, found: usize) -> String {
         self.axes = vec![(PlaneAxis::Z, found as u64)];
         self.channel_names.clear();
+        self.channel_looks.clear();
         format!("the description has {num_planes} planes, the file {found}; they are read as slices")
     }
 
@@ -156,7 +162,7 @@ impl TiffFile {
         let mut stack = match (first.description.as_deref(), shaped) {
             (_, Some(stack)) => stack.map_err(bad)?.unwrap_or_else(|| Stack::plain(&group)),
             (Some(text), _) if files.len() == 1 && index == 0 && imagej::is_imagej(text) => {
-                imagej::stack(text, &group.resolution)
+                imagej::stack(text, &group.resolution, first.imagej.as_ref())
             }
             (Some(text), _) if files.len() > 1 && ome::is_ome(text) => {
                 set::slices(text, &group).map_err(bad)?
@@ -329,12 +335,15 @@ fn plan(group: &Group, stack: &mut Stack, endian: Option<Endian>, num_files: usi
         axes,
         Geometry::of_image(known, unit),
     );
+    plan.value_map = stack.value_map;
     plan.channel_names = std::mem::take(&mut stack.channel_names);
-    if plan.channel_names.is_empty() && matches!(samples.size, 3 | 4) {
-        plan.channel_names = color_names(samples.size);
+    if matches!(samples.size, 3 | 4) && plan.channel_names.len() as u64 != samples.size {
+        plan.set_colors();
+    } else if stack.has_channels {
+        plan.channel_looks = std::mem::take(&mut stack.channel_looks);
+        plan.join_channels();
     }
     plan.series = std::mem::take(&mut stack.series);
-    plan.value_map = stack.value_map;
     if group.is_white {
         // The decoder inverts the numbers that it decodes.
         if endian.is_some() {

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use super::{PageLocation, PlaneAxis, Stack};
 use crate::error::quoted;
+use crate::plan::ChannelLook;
 use crate::units::{length_unit, time_step, time_unit};
 use crate::xml::{Tags, XmlTag};
 
@@ -24,6 +25,7 @@ struct Image {
     name: String,
     pixels: Option<XmlTag>,
     channels: Vec<String>,
+    looks: Vec<ChannelLook>,
     data: Vec<TiffData>,
 }
 
@@ -176,6 +178,8 @@ pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Res
         spacing,
         unit,
         channel_names: image.channels.iter().map(|c| quoted(c).trim_matches('"').to_owned()).collect(),
+        channel_looks: image.looks.clone(),
+        has_channels: true,
         planes,
         series: if images.len() > 1 { names.collect() } else { Vec::new() },
         value_map: (1.0, 0.0),
@@ -281,6 +285,9 @@ fn parse(text: &str) -> Result<Ome, String> {
             "Channel" => {
                 let name = tag.get("Name").or_else(|| tag.get("ID")).unwrap_or_default();
                 image.channels.push(name.to_owned());
+                image
+                    .looks
+                    .push(ChannelLook { color: tag.get("Color").and_then(color), ..ChannelLook::default() });
             }
             "TiffData" => image.data.push(TiffData { fields: tag, file: None }),
             "UUID" => {
@@ -296,6 +303,15 @@ fn parse(text: &str) -> Result<Ome, String> {
         return Err("OME-XML has no Pixels".into());
     }
     Ok(Ome { images, metadata_file })
+}
+
+/// A colour, which the model writes as a signed number of red, green, blue and opacity.
+fn color(text: &str) -> Option<[u8; 3]> {
+    let number: i64 = text.trim().parse().ok()?;
+    // Some writers leave out the sign.
+    let bits = u32::try_from(number).ok().or_else(|| i32::try_from(number).ok().map(|n| n as u32))?;
+    let [red, green, blue, _] = bits.to_be_bytes();
+    Some([red, green, blue])
 }
 
 /// Most elements of a description. Each plane has a few.

@@ -5,10 +5,11 @@ use std::io::BufReader;
 use std::path::Path;
 
 use ::tiff::decoder::{Decoder, Limits};
-use ::tiff::tags::{PlanarConfiguration, SampleFormat, Tag};
+use ::tiff::tags::{PlanarConfiguration, SampleFormat, Tag, Type};
 use ::tiff::{ColorType, TiffError};
 
 use super::check;
+use super::imagej;
 use super::shaped::Shaped;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, shown};
@@ -61,6 +62,8 @@ pub(super) struct Scan {
     pub(super) description: Option<String>,
     pub(super) endian: Endian,
     pub(super) num_other: usize,
+    /// What ImageJ says about the channels.
+    pub(super) imagej: Option<imagej::Metadata>,
 }
 
 impl Scan {
@@ -75,11 +78,12 @@ impl Scan {
                 expected: "a volume; `bfconvert -series N` makes a plain TIFF of one of its pictures",
             });
         }
-        let mut groups = vec![Group::here(&mut decoder, 0).map_err(|e| e.at(path, 0))?];
         let endian = match decoder.byte_order() {
             ::tiff::tags::ByteOrder::LittleEndian => Endian::Little,
             ::tiff::tags::ByteOrder::BigEndian => Endian::Big,
         };
+        let imagej = imagej_metadata(&mut decoder, endian);
+        let mut groups = vec![Group::here(&mut decoder, 0).map_err(|e| e.at(path, 0))?];
         let (mut page, mut num_other) = (0, 0);
         while decoder.more_images() && page < MAX_PAGES {
             page += 1;
@@ -115,7 +119,7 @@ impl Scan {
                 None => num_other += 1,
             }
         }
-        Ok(Self { groups, description, endian, num_other })
+        Ok(Self { groups, description, endian, num_other, imagej })
     }
 }
 
@@ -155,6 +159,16 @@ impl Group {
             is_white: is_white(decoder),
         })
     }
+}
+
+fn imagej_metadata(decoder: &mut PageDecoder, endian: Endian) -> Option<imagej::Metadata> {
+    let lengths = bytes_of(decoder, IMAGEJ_LENGTHS, MAX_IMAGEJ_BYTES)?;
+    let number = |b: &[u8; 4]| match endian {
+        Endian::Little => u32::from_le_bytes(*b),
+        Endian::Big => u32::from_be_bytes(*b),
+    };
+    let lengths: Vec<u32> = lengths.as_chunks().0.iter().map(number).collect();
+    imagej::Metadata::of(&bytes_of(decoder, IMAGEJ_METADATA, MAX_IMAGEJ_BYTES)?, &lengths)
 }
 
 /// Offset of the strips, if there are no gaps between them.
@@ -199,8 +213,16 @@ pub(super) fn description(decoder: &mut PageDecoder) -> Option<String> {
 
 /// The same, unless it is longer than `most` bytes.
 fn description_of(decoder: &mut PageDecoder, most: u64) -> Option<String> {
+    let bytes = bytes_of(decoder, Tag::ImageDescription, most)?;
+    let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
+    Some(String::from_utf8_lossy(&bytes[..end]).into_owned())
+}
+
+/// The bytes of a tag of the current page, as they are in the file, unless there are more than `most`.
+fn bytes_of(decoder: &mut PageDecoder, tag: Tag, most: u64) -> Option<Vec<u8>> {
     let mut tags = decoder.image_ifd();
-    let length = tags.find_entry(Tag::ImageDescription)?.count();
+    let entry = tags.find_entry(tag)?;
+    let length = entry.count().checked_mul(if entry.field_type() == Type::LONG { 4 } else { 1 })?;
     if length > most {
         return None;
     }
@@ -209,13 +231,12 @@ fn description_of(decoder: &mut PageDecoder, most: u64) -> Option<String> {
     while (bytes.len() as u64) < length {
         let start = bytes.len();
         bytes.resize(length.min(2 * start as u64 + 4096) as usize, 0);
-        let n = tags.find_tag_bytes(Tag::ImageDescription, &mut bytes[start..], start as u64).ok()??;
+        let n = tags.find_tag_bytes(tag, &mut bytes[start..], start as u64).ok()??;
         if n < bytes.len() - start {
             return None;
         }
     }
-    let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
-    Some(String::from_utf8_lossy(&bytes[..end]).into_owned())
+    Some(bytes)
 }
 
 /// Why a page cannot be read.
@@ -317,6 +338,11 @@ fn one_line(e: &TiffError) -> String {
     isinglass_core::text::one_line(&e.to_string(), MAX_MESSAGE_CHARS)
 }
 
+/// ImageJ's tags for the lengths of blocks, and for the blocks.
+const IMAGEJ_LENGTHS: Tag = Tag::Unknown(50838);
+const IMAGEJ_METADATA: Tag = Tag::Unknown(50839);
+/// Most bytes of what ImageJ says. It may have the labels of many slices.
+const MAX_IMAGEJ_BYTES: u64 = 4 << 20;
 /// SGI's tag for pages that are volumes.
 const IMAGE_DEPTH: Tag = Tag::Unknown(32997);
 /// Most pages of a file.

@@ -170,7 +170,13 @@ pub(super) fn slices(text: &str, group: &Group) -> Result<Stack, String> {
     let ome = Ome::read(text)?;
     let files = ome.files(0, "", &|_| false)?;
     let told = ome::stack(&ome, 0, &files, group.shape.samples.into())?;
-    Ok(Stack { spacing: told.spacing, unit: told.unit, channel_names: told.channel_names, ..plain })
+    Ok(Stack {
+        spacing: told.spacing,
+        unit: told.unit,
+        channel_names: told.channel_names,
+        channel_looks: told.channel_looks,
+        ..plain
+    })
 }
 
 /// Longest document in bytes.

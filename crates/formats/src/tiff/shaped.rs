@@ -102,7 +102,8 @@ impl Shaped {
             )
         });
         let axes = axes.into_iter().filter_map(|(axis, size)| Some((axis?, size))).collect();
-        Ok(Some(Stack { axes, guess, ..Stack::plain(group) }))
+        let has_channels = (0..num_outer).any(|i| outer[i] > 1 && named(i) == 'C');
+        Ok(Some(Stack { axes, guess, has_channels, ..Stack::plain(group) }))
     }
 }
 

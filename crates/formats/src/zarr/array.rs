@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::codec::{Codec, Codecs};
 use super::json;
+use super::store::Store;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, malformed, quoted};
 
@@ -37,10 +38,10 @@ pub(super) struct Shard {
 
 impl Array {
     /// Reads the array in the folder `path`.
-    pub(super) fn read(path: &Path) -> Result<Self, FormatError> {
-        let (value, version) = match json::read(&path.join("zarr.json"))? {
+    pub(super) fn read(store: &Store, path: &Path) -> Result<Self, FormatError> {
+        let (value, version) = match json::read(store, &path.join("zarr.json"))? {
             Some(value) => (value, 3),
-            None => (json::require(&path.join(".zarray"))?, 2),
+            None => (json::require(store, &path.join(".zarray"))?, 2),
         };
         let array = if version == 3 { Self::of_version_3(&value) } else { Self::of_version_2(&value) };
         let bad = malformed(path, "Zarr array");

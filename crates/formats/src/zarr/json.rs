@@ -4,23 +4,20 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use super::store::{Part, Store};
 use crate::error::{FormatError, io_error, malformed, quoted};
-use crate::source::read_file;
 
 /// Reads the document at `path`; `None` if there is no such file.
-pub(super) fn read(path: &Path) -> Result<Option<Value>, FormatError> {
-    if !path.is_file() {
-        return Ok(None);
-    }
+pub(super) fn read(store: &Store, path: &Path) -> Result<Option<Value>, FormatError> {
     let bad = malformed(path, "Zarr metadata");
-    let bytes = read_file(path, MAX_BYTES)?.ok_or_else(|| bad(format!("more than {MAX_BYTES} bytes")))?;
+    let Some((bytes, _)) = store.read(path, Part::Whole, MAX_BYTES)? else { return Ok(None) };
     serde_json::from_slice(&bytes).map(Some).map_err(|e| bad(quoted(&e.to_string())))
 }
 
 /// The same for a file that must exist.
-pub(super) fn require(path: &Path) -> Result<Value, FormatError> {
+pub(super) fn require(store: &Store, path: &Path) -> Result<Value, FormatError> {
     let missing = || io_error(path)(std::io::ErrorKind::NotFound.into());
-    read(path)?.ok_or_else(missing)
+    read(store, path)?.ok_or_else(missing)
 }
 
 /// A list of positive integers.

@@ -1,16 +1,19 @@
 //! Interprets the attributes of an image.
 
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 use glam::DVec3;
+use isinglass_core::volume::VolumeLabel;
 use serde_json::Value;
 
 use super::array::Array;
 use super::json;
+use super::store::Store;
 use crate::axes::{Geometry, World};
 use crate::error::{FormatError, malformed, quoted};
 use crate::outline::Level;
-use crate::plan::{Axis, Plan, Role};
+use crate::plan::{Axis, ChannelLook, Plan, Role};
 use crate::units::{length_unit, time_step, time_unit};
 
 /// An image of several levels.
@@ -22,8 +25,9 @@ pub(super) struct Multiscale {
     /// The transformation after that of each level.
     all: Transform,
     channels: Vec<String>,
-    /// What each channel shows black and white.
-    windows: Vec<Option<(f64, f64)>>,
+    looks: Vec<ChannelLook>,
+    /// What the labels mean, if the image has labels.
+    labels: Option<Vec<VolumeLabel>>,
     /// Whether the axes are named.
     is_image: bool,
 }
@@ -53,15 +57,15 @@ pub(super) struct LevelPath {
 
 impl Multiscale {
     /// Reads the image in the folder `path`; `None` if there is none. A single array is an image with one level.
-    pub(super) fn read(path: &Path) -> Result<Option<Self>, FormatError> {
+    pub(super) fn read(store: &Store, path: &Path) -> Result<Option<Self>, FormatError> {
         let bad = malformed(path, "OME-Zarr");
-        let attributes = match json::read(&path.join("zarr.json"))? {
+        let attributes = match json::read(store, &path.join("zarr.json"))? {
             Some(value) if value["node_type"].as_str() == Some("array") => {
-                return Self::of_array(path);
+                return Self::of_array(store, path);
             }
             Some(value) => value.get("attributes").and_then(|a| a.get("ome").or(Some(a))).cloned(),
-            None if path.join(".zarray").is_file() => return Self::of_array(path),
-            None => json::read(&path.join(".zattrs"))?,
+            None if store.has(&path.join(".zarray"))? => return Self::of_array(store, path),
+            None => json::read(store, &path.join(".zattrs"))?,
         };
         let Some(attributes) = attributes else { return Ok(None) };
         let images = attributes["multiscales"].as_array();
@@ -107,15 +111,19 @@ impl Multiscale {
         let omero = attributes.get("omero").or_else(|| image.get("omero"));
         let channels = omero.and_then(|o| o.get("channels")).and_then(Value::as_array);
         let label = |c: &Value| quoted(c["label"].as_str().unwrap_or_default()).trim_matches('"').to_owned();
-        let window = |c: &Value| c["window"]["start"].as_f64().zip(c["window"]["end"].as_f64());
+        let look = |c: &Value| ChannelLook {
+            window: c["window"]["start"].as_f64().zip(c["window"]["end"].as_f64()),
+            color: c["color"].as_str().and_then(color),
+            is_hidden: c["active"].as_bool() == Some(false),
+        };
         let channels = channels.map_or(&[][..], |list| &list[..list.len().min(1024)]);
-        let windows = channels.iter().map(window).collect();
+        let looks = channels.iter().map(look).collect();
         let channels = channels.iter().map(label).collect();
-        Ok(Self { version, axes, levels, all, channels, windows, is_image: true })
+        Ok(Self { version, axes, levels, all, channels, looks, labels: labels(attributes), is_image: true })
     }
 
-    fn of_array(path: &Path) -> Result<Option<Self>, FormatError> {
-        let array = Array::read(path)?;
+    fn of_array(store: &Store, path: &Path) -> Result<Option<Self>, FormatError> {
+        let array = Array::read(store, path)?;
         let n = array.shape.len();
         let names = ["t", "c", "z", "y", "x"];
         let bad = malformed(path, "Zarr array");
@@ -129,7 +137,16 @@ impl Multiscale {
             .map_err(bad)?;
         let levels = vec![LevelPath { path: PathBuf::new(), own: None }];
         let (version, all) = (String::new(), Transform::none(n));
-        Ok(Some(Self { version, axes, levels, all, channels: vec![], windows: vec![], is_image: false }))
+        Ok(Some(Self {
+            version,
+            axes,
+            levels,
+            all,
+            channels: vec![],
+            looks: vec![],
+            labels: None,
+            is_image: false,
+        }))
     }
 
     /// Sizes along x, y and z of an array with this shape.
@@ -138,6 +155,13 @@ impl Multiscale {
             self.axes.iter().zip(shape).find(|(a, _)| a.kind == AxisKind::Space(k)).map_or(1, |(_, n)| *n)
         };
         [size(0), size(1), size(2)]
+    }
+
+    /// Channels of an array with this shape that are parts of one picture.
+    pub(super) fn num_channels(&self, shape: &[u64]) -> u64 {
+        let is_joint = self.is_image && self.labels.is_none();
+        let axis = self.axes.iter().position(|a| a.kind == AxisKind::Channel).filter(|_| is_joint);
+        axis.and_then(|axis| shape.get(axis)).copied().unwrap_or(1)
     }
 
     /// The transformation of a level. A level without one has the extent of the finest level.
@@ -211,7 +235,12 @@ impl Multiscale {
         let format = format!("{}, Zarr {}", name.trim_end(), array.version);
         let mut plan = Plan::new(format, array.dtype, array.codecs.endian, axes, geometry);
         plan.channel_names.clone_from(&self.channels);
-        plan.windows.clone_from(&self.windows);
+        plan.channel_looks.clone_from(&self.looks);
+        if self.is_image && self.labels.is_none() {
+            plan.join_channels();
+        }
+        plan.are_labels = self.labels.is_some();
+        plan.labels = self.labels.clone().unwrap_or_default();
         let in_time = self.axes.iter().zip(&place.scale).find(|(axis, _)| axis.kind == AxisKind::Time);
         plan.time_step = in_time.and_then(|(axis, scale)| time_step(scale * axis.seconds?));
         plan.level = level;
@@ -240,6 +269,37 @@ impl Multiscale {
         }
         Ok(plan)
     }
+}
+
+/// What an `image-label` says about its labels; `None` if there is none.
+fn labels(attributes: &Value) -> Option<Vec<VolumeLabel>> {
+    let told = attributes.get("image-label").filter(|told| told.is_object())?;
+    let list = |key: &str| told[key].as_array().map_or(&[][..], |list| &list[..list.len().min(MAX_LABELS)]);
+    let value = |entry: &Value| entry["label-value"].as_u64().and_then(|n| u32::try_from(n).ok());
+    let mut found = BTreeMap::<u32, (String, Option<[u8; 3]>)>::new();
+    for entry in list("colors") {
+        let part = |i: usize| entry["rgba"][i].as_u64().and_then(|n| u8::try_from(n).ok());
+        let color = part(0).zip(part(1)).zip(part(2)).map(|((r, g), b)| [r, g, b]);
+        if let Some(value) = value(entry) {
+            found.entry(value).or_default().1 = color;
+        }
+    }
+    for entry in list("properties") {
+        let name = ["name", "label", "class"].iter().find_map(|key| entry[*key].as_str());
+        if let (Some(value), Some(name)) = (value(entry), name) {
+            found.entry(value).or_default().0 = quoted(name).trim_matches('"').to_owned();
+        }
+    }
+    let label = |(value, (name, color))| VolumeLabel { value, name, color };
+    Some(found.into_iter().filter(|(value, _)| *value > 0).map(label).collect())
+}
+
+/// A colour in six hexadecimal digits, perhaps after a number sign.
+fn color(text: &str) -> Option<[u8; 3]> {
+    let digits = text.trim().trim_start_matches('#');
+    let number = u32::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 6)?;
+    let [_, red, green, blue] = number.to_be_bytes();
+    Some([red, green, blue])
 }
 
 impl NamedAxis {
@@ -312,3 +372,5 @@ impl Transform {
 }
 
 const MAX_LEVELS: usize = 64;
+/// Most labels with a name or colour.
+const MAX_LABELS: usize = 1 << 16;

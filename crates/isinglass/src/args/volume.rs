@@ -9,7 +9,8 @@ use glam::Vec3;
 use isinglass_bench::progress::Progress;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
-    Dtype, Endian, Flip, OpenOptions, Outline, RawShape, Region, Selection, VolumeSource, open, outline,
+    Dtype, Endian, Flip, Meaning, OpenOptions, Outline, RawShape, Reading, Region, Selection, VolumeSource,
+    open, outline,
 };
 use isinglass_formats::{OpenedScene, open_scene};
 
@@ -39,14 +40,15 @@ impl VolumeArgs {
     pub(crate) fn volume_source(&self) -> Result<VolumeSource> {
         let (source, raw, selection) = (self.source()?.to_owned(), self.raw.shape(), self.part.selection());
         let (spacing, foreign_files) = (self.part.spacing, self.part.has_foreign_files());
-        let stored_slices = self.part.has_stored_slices();
-        Ok(VolumeSource { source, raw, selection, spacing, foreign_files, stored_slices })
+        let reading = self.part.reading();
+        Ok(VolumeSource { source, raw, selection, spacing, foreign_files, reading })
     }
 
     /// The volume of a saved state; flags for another part or layout override it.
     pub(crate) fn in_state(&self, saved: VolumeSource) -> Self {
         let of_flags = self.part.selection();
-        let VolumeSource { source, raw, selection: saved, spacing, foreign_files: _, stored_slices } = saved;
+        let VolumeSource { source, raw, selection: saved, spacing, foreign_files: _, reading } = saved;
+        let Reading { stored_slices, voxels, thin, labels } = reading;
         let raw = raw.filter(|_| self.raw.shape().is_none());
         let part = PartArgs {
             channel: of_flags.channel.or(saved.channel),
@@ -57,6 +59,9 @@ impl VolumeArgs {
             flip: self.part.flip.or(Some(saved.flip).filter(|flip| *flip != Flip::default())),
             foreign_files: self.part.foreign_files,
             stored_slices: if stored_slices { Switch::On } else { self.part.stored_slices },
+            voxels: self.part.voxels.or(voxels),
+            thin: self.part.thin.or(thin),
+            labels: self.part.labels.clone().or(labels),
             spacing: self.part.spacing.or(spacing).or(raw.map(|r| r.spacing).filter(|s| *s != Vec3::ONE)),
         };
         let raw = raw.map_or_else(|| self.raw.clone(), |raw| RawArgs::of(&raw));
@@ -66,9 +71,11 @@ impl VolumeArgs {
     /// Opens the volume, after printing notes from its header; large files show their progress.
     pub(crate) fn open(&self) -> Result<(Volume, Outline)> {
         let source = self.source()?;
-        let before = outline(source, &self.options())?;
+        let reading = self.part.reading();
+        let options = self.options(&reading);
+        let before = outline(source, &options)?;
         let volume = show_progress(&before, |progress| {
-            open(source, &OpenOptions { progress: Some(progress), ..self.options() })
+            open(source, &OpenOptions { progress: Some(progress), ..options })
         })?;
         Ok((volume, before))
     }
@@ -80,12 +87,12 @@ impl VolumeArgs {
 
     /// The contents of the file, by its header.
     pub(crate) fn outline(&self) -> Result<Outline> {
-        Ok(outline(self.source()?, &self.options())?)
+        Ok(outline(self.source()?, &self.options(&self.part.reading()))?)
     }
 
     /// Options for opening. The memory limit is the default of `serve`, so that both choose the same level of a
     /// pyramid.
-    fn options(&self) -> OpenOptions<'static> {
+    fn options<'a>(&self, reading: &'a Reading) -> OpenOptions<'a> {
         let PartArgs { spacing, .. } = self.part;
         OpenOptions {
             raw: self.raw.shape(),
@@ -93,7 +100,7 @@ impl VolumeArgs {
             spacing,
             max_bytes: MemoryArgs::default().bytes(),
             foreign_files: self.part.has_foreign_files(),
-            stored_slices: self.part.has_stored_slices(),
+            reading,
             ..OpenOptions::default()
         }
     }
@@ -154,6 +161,15 @@ pub(crate) struct PartArgs {
     #[arg(long, value_name = "on|off", value_enum, num_args = 0..=1, require_equals = true)]
     #[arg(default_value_t, default_missing_value = "on", hide_possible_values = true)]
     stored_slices: Switch,
+    /// What the voxels mean: values or labels [default: as the file says, or as they look]
+    #[arg(long, value_name = "MEANING")]
+    voxels: Option<Meaning>,
+    /// Take one voxel in so many along each axis [default: only where a side has more than 2048]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    thin: Option<u32>,
+    /// A file with a volume of labels that is shown over the volume
+    #[arg(long, value_name = "FILE", value_parser = any_text())]
+    labels: Option<String>,
 }
 
 impl PartArgs {
@@ -167,9 +183,10 @@ impl PartArgs {
         self.foreign_files == Switch::On
     }
 
-    /// Whether uneven slices stay as they are stored.
-    pub(crate) fn has_stored_slices(&self) -> bool {
-        self.stored_slices == Switch::On
+    /// How numbers become voxels.
+    pub(crate) fn reading(&self) -> Reading {
+        let stored_slices = self.stored_slices == Switch::On;
+        Reading { stored_slices, voxels: self.voxels, thin: self.thin, labels: self.labels.clone() }
     }
 }
 
@@ -214,9 +231,11 @@ impl RawArgs {
 pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighting) -> Result<OpenedScene> {
     let settings = look.march_settings(lighting)?;
     let source = volume.source()?;
-    let before = outline(source, &volume.options())?;
+    let reading = volume.part.reading();
+    let options = volume.options(&reading);
+    let before = outline(source, &options)?;
     let opened = show_progress(&before, |progress| {
-        let options = OpenOptions { progress: Some(progress), ..volume.options() };
+        let options = OpenOptions { progress: Some(progress), ..options };
         open_scene(source, look.tf.as_deref(), settings, &options)
     });
     Ok(opened?)
@@ -224,8 +243,8 @@ pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighti
 
 /// Opens a volume to serve within a memory limit, with the rest of its file; large files show their progress.
 pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
-    let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options() };
-    let request = volume.volume_source()?.request(options.max_bytes);
+    let request = volume.volume_source()?.request(memory.bytes());
+    let options = request.options();
     let loader = FileLoader::new(&request, look.tf.as_deref())?;
     let before = loader.outline(request.selection, 0).map_err(|e| anyhow!(e))?;
     let opened = show_progress(&before, |progress| {

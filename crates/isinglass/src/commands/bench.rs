@@ -93,7 +93,7 @@ impl CommonArgs {
                 selection,
                 spacing,
                 foreign_files: self.part.has_foreign_files(),
-                stored_slices: self.part.has_stored_slices(),
+                reading: self.part.reading(),
                 ..scene.volume.clone()
             };
             // A source that cannot be opened is rejected before hours of measuring.

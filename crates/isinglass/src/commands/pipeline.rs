@@ -86,7 +86,7 @@ pub(super) fn run(args: PipelineArgs) -> Result<()> {
         selection: args.part.selection(),
         spacing: args.part.spacing,
         foreign_files: args.part.has_foreign_files(),
-        stored_slices: args.part.has_stored_slices(),
+        reading: args.part.reading(),
         max_bytes: args.memory.bytes(),
         transfer: args.look.tf.clone(),
         shaded: args.look.is_shaded(),

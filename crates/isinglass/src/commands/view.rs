@@ -15,8 +15,8 @@ use isinglass_client::{
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{
-    LoadRequest, Remembered, SavedState, Selection, load_transfer, source_exists, state_from_link,
-    write_whole,
+    LoadRequest, Reading, Remembered, SavedState, Selection, is_address, load_transfer, source_exists,
+    state_from_link, write_whole,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, Tunnel, state_of_link};
 
@@ -126,6 +126,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
     let (raw, selection, spacing) = (args.raw.shape(), args.part.selection(), args.part.spacing);
     let is_of_volume =
         raw.is_some() || selection != Selection::default() || spacing.is_some() || seen.has_flags_of_look();
+    let is_of_volume = is_of_volume || args.part.reading() != Reading::default();
     let of_state = seen.state.volume.as_ref().is_some_and(|v| v.source.is_some());
     match target {
         Some(Target::Server(_)) if is_of_volume => {
@@ -202,7 +203,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         ..WindowOptions::default()
     };
     let limit = args.memory.bytes();
-    let (foreign_files, stored_slices) = (args.part.has_foreign_files(), args.part.has_stored_slices());
+    let (foreign_files, reading) = (args.part.has_foreign_files(), args.part.reading());
     let (target, remote, tunnel) = match target {
         Some(Target::Remote(volume, text)) => {
             let order = remote::order(seen.given(), args.look.tf.as_deref())?;
@@ -225,7 +226,7 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         }
         Some(Target::Volume(source)) => {
             let max_bytes = limit;
-            Some(LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, stored_slices })
+            Some(LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, reading })
         }
         None if of_state => {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };
@@ -296,6 +297,9 @@ pub(super) fn connect(link: &Link, options: ClientOptions) -> Result<Client> {
 fn parse_target(text: &str) -> Result<Target, String> {
     if text == "-" {
         return Ok(Target::Input);
+    }
+    if is_address(text) {
+        return Ok(Target::Volume(text.to_owned()));
     }
     let is_here = source_exists(text);
     if !is_here && let Some(volume) = RemoteVolume::parse(text) {

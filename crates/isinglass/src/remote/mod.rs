@@ -191,6 +191,9 @@ const OF_SERVER: &[&str] = &[
     "spacing",
     "foreign_files",
     "stored_slices",
+    "voxels",
+    "thin",
+    "labels",
 ];
 
 #[cfg(test)]

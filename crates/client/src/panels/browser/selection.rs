@@ -4,7 +4,7 @@ use egui::Ui;
 use isinglass_formats::{Outline, Region, Selection};
 
 use crate::panels::controls::{self, whole};
-use crate::panels::part_pickers::{label, list, numbered, time_field};
+use crate::panels::part_pickers::{channel_list, label, list, numbered, time_field};
 use crate::panels::style::named;
 
 /// The person's choices, and what the file offers.
@@ -33,11 +33,9 @@ impl SelectionForm {
     }
 
     pub(crate) fn show(&mut self, ui: &mut Ui) {
-        let Some(Outline { shown, channels, num_channels, num_times, levels, series, whole_dims, .. }) =
-            &self.outline
-        else {
-            return;
-        };
+        let Some(outline) = &self.outline else { return };
+        let Outline { shown, channels, num_channels, joins_channels, .. } = outline;
+        let Outline { num_times, levels, series, whole_dims, .. } = outline;
         let chosen = &mut self.chosen;
         let level = |i: u32| match levels.get(i as usize) {
             Some(isinglass_formats::Level { dims: [x, y, z], .. }) => format!("{i}: {x}×{y}×{z}"),
@@ -54,7 +52,12 @@ impl SelectionForm {
             if choose(ui, "level", levels.len(), &mut chosen.level, shown.level, level) {
                 self.takes_region = false;
             }
-            choose(ui, "channel", *num_channels as usize, &mut chosen.channel, shown.channel, channel);
+            if *num_channels > 1 {
+                if !joins_channels {
+                    chosen.channel = chosen.channel.or(shown.channel);
+                }
+                channel_list(ui, *num_channels as usize, *joins_channels, &mut chosen.channel, channel);
+            }
             if *num_times > 1 {
                 label(ui, "time");
                 let mut time = chosen.time.or(shown.time).unwrap_or(0);

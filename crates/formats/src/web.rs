@@ -1,0 +1,253 @@
+//! Files at addresses of the web, by HTTP. Buckets of S3 that everybody may read are addressed by HTTP too. No request
+//! waits for ever, and no answer takes more memory than the caller allows.
+
+use std::io;
+use std::path::Path;
+use std::time::Duration;
+
+use ureq::http::{Response, StatusCode};
+use ureq::{Agent, Body};
+
+use crate::error::{FormatError, one_line, shown};
+
+/// A client for the files below one address.
+pub(crate) struct WebFolder {
+    agent: Agent,
+    /// The address as the user wrote it.
+    shown: String,
+    /// The address for requests, without a slash at its end.
+    base: String,
+}
+
+/// What to get of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum WebPart {
+    Whole,
+    /// So many bytes from an offset.
+    At(u64, u64),
+    /// So many bytes at the end.
+    End(u64),
+}
+
+/// Whether `source` is an address of the web, at which an OME-Zarr image may be.
+pub fn is_address(source: &str) -> bool {
+    ["http://", "https://", "s3://"]
+        .iter()
+        .any(|scheme| source.get(..scheme.len()).is_some_and(|start| start.eq_ignore_ascii_case(scheme)))
+}
+
+impl WebFolder {
+    /// The folder at `address`. Nothing is requested yet.
+    pub(crate) fn new(address: &str) -> Self {
+        Self::with_timeouts(address, CONNECT_TIME, ANSWER_TIME)
+    }
+
+    fn with_timeouts(address: &str, connect: Duration, answer: Duration) -> Self {
+        let config = Agent::config_builder()
+            .timeout_connect(Some(connect))
+            .timeout_recv_response(Some(answer))
+            .timeout_global(Some(answer * 3))
+            .max_redirects(MAX_REDIRECTS)
+            .http_status_as_error(false)
+            .user_agent("isinglass")
+            .build();
+        let shown = address.trim_end_matches('/').to_owned();
+        Self { agent: config.into(), base: http_address(&shown), shown }
+    }
+
+    /// The address as the user wrote it.
+    pub(crate) fn address(&self) -> &str {
+        &self.shown
+    }
+
+    /// Gets a part of the file at `path`, which begins with [`WebFolder::address`]. Returns its bytes and the length of
+    /// the file, or `None` if there is no such file.
+    ///
+    /// # Errors
+    /// The server does not answer in time, refuses, or sends more or less than was asked for.
+    pub(crate) fn read(
+        &self,
+        path: &Path,
+        part: WebPart,
+        most: u64,
+    ) -> Result<Option<(Vec<u8>, u64)>, FormatError> {
+        let bad = |problem: String| FormatError::Data { path: shown(path), problem };
+        let answer = match self.request(path, part) {
+            // The server may have closed a connection that was kept.
+            Err(e) if !matches!(e, ureq::Error::Timeout(_)) => self.request(path, part),
+            answer => answer,
+        };
+        let mut answer = answer.map_err(|e| self.error(path, &e))?;
+        let status = answer.status();
+        match status {
+            StatusCode::OK | StatusCode::PARTIAL_CONTENT => {}
+            // Buckets without a public list refuse access to what is not there.
+            StatusCode::NOT_FOUND | StatusCode::GONE | StatusCode::FORBIDDEN => return Ok(None),
+            _ => return Err(bad(format!("the server answers {status}, expected the file"))),
+        }
+        let wanted = match part {
+            WebPart::Whole => None,
+            WebPart::At(_, size) | WebPart::End(size) => Some(size),
+        };
+        if wanted.is_some_and(|size| size > most) {
+            return Err(bad(format!("{} bytes, expected at most {most}", wanted.unwrap_or(0))));
+        }
+        if part != WebPart::Whole && status != StatusCode::PARTIAL_CONTENT {
+            return Err(bad("the server sends no parts of files, expected one that does".into()));
+        }
+        let whole = length_of(&answer);
+        let limit = wanted.unwrap_or(most);
+        let long = || bad(format!("the server sends more bytes, expected at most {limit}"));
+        let body = answer.body_mut().with_config().limit(limit.saturating_add(1)).read_to_vec();
+        let bytes = body.map_err(|e| match e {
+            ureq::Error::BodyExceedsLimit(_) => long(),
+            e => self.error(path, &e),
+        })?;
+        let found = bytes.len() as u64;
+        if found > limit {
+            return Err(long());
+        }
+        if let Some(size) = wanted.filter(|size| *size != found) {
+            return Err(bad(format!("the server sends {found} bytes, expected {size}")));
+        }
+        Ok(Some((bytes, whole.unwrap_or(found))))
+    }
+
+    fn request(&self, path: &Path, part: WebPart) -> Result<Response<Body>, ureq::Error> {
+        let inner = path.strip_prefix(&self.shown).unwrap_or(path);
+        let names = inner.iter().map(|name| escaped(&name.to_string_lossy()));
+        let address = std::iter::once(self.base.clone()).chain(names).collect::<Vec<_>>().join("/");
+        let request = self.agent.get(&address);
+        match part {
+            WebPart::Whole => request,
+            WebPart::At(at, size) => {
+                request.header("Range", format!("bytes={at}-{}", at.saturating_add(size).saturating_sub(1)))
+            }
+            WebPart::End(size) => request.header("Range", format!("bytes=-{size}")),
+        }
+        .call()
+    }
+
+    fn error(&self, path: &Path, e: &ureq::Error) -> FormatError {
+        let cause = match e {
+            ureq::Error::Timeout(_) => {
+                io::Error::new(io::ErrorKind::TimedOut, "the server does not answer in time")
+            }
+            e => io::Error::other(one_line(&e.to_string())),
+        };
+        FormatError::Io { path: shown(path), cause }
+    }
+}
+
+/// The length of the whole file, from the headers of an answer.
+fn length_of(answer: &Response<Body>) -> Option<u64> {
+    let header = |name: &str| answer.headers().get(name)?.to_str().ok();
+    match header("content-range") {
+        // Such as `bytes 0-99/1234`.
+        Some(range) => range.rsplit_once('/')?.1.parse().ok(),
+        None => header("content-length")?.parse().ok(),
+    }
+}
+
+/// The address of a bucket by HTTP. One with a dot in its name has no certificate of its own.
+fn http_address(address: &str) -> String {
+    let is_s3 = address.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("s3://"));
+    let Some(place) = address.get(5..).filter(|_| is_s3) else { return address.to_owned() };
+    let (bucket, key) = place.split_once('/').unwrap_or((place, ""));
+    let key = key.split('/').map(escaped).collect::<Vec<_>>().join("/");
+    let address = match bucket.contains('.') {
+        true => format!("https://s3.amazonaws.com/{bucket}/{key}"),
+        false => format!("https://{bucket}.s3.amazonaws.com/{key}"),
+    };
+    address.trim_end_matches('/').to_owned()
+}
+
+/// The name of a file in an address.
+fn escaped(name: &str) -> String {
+    let is_plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~!$&'()*+,;=:@".contains(&b);
+    name.bytes().map(|b| if is_plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()
+}
+
+const CONNECT_TIME: Duration = Duration::from_secs(15);
+/// Until an answer begins. All of it may take three times as long.
+const ANSWER_TIME: Duration = Duration::from_secs(30);
+const MAX_REDIRECTS: u32 = 5;
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::net::TcpListener;
+    use std::thread;
+
+    use super::*;
+
+    /// A server that says `answer` to each request and keeps the connection for a second. Returns its address.
+    fn server(answer: &'static [u8]) -> String {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = format!("http://{}", listener.local_addr().unwrap());
+        thread::spawn(move || {
+            for stream in listener.incoming() {
+                let mut stream = stream.unwrap();
+                thread::spawn(move || {
+                    let _ = stream.read(&mut [0; 4096]);
+                    let _ = stream.write_all(answer);
+                    thread::sleep(Duration::from_secs(1));
+                });
+            }
+        });
+        address
+    }
+
+    fn got(answer: &'static [u8], part: WebPart, most: u64) -> Result<Option<(Vec<u8>, u64)>, String> {
+        let address = server(answer);
+        let folder = WebFolder::with_timeouts(&address, Duration::from_secs(5), Duration::from_millis(200));
+        folder.read(&Path::new(&address).join("a b"), part, most).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn answers_are_bounded_in_time_and_size() {
+        let whole = |answer, most| got(answer, WebPart::Whole, most);
+        let good = b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\nhello";
+        assert_eq!(whole(good, 5), Ok(Some((b"hello".to_vec(), 5))));
+        let fails = |found: Result<_, String>, words: &str| {
+            let message = found.unwrap_err();
+            assert!(message.contains(words) && message.lines().count() == 1, "{message}");
+        };
+        fails(whole(good, 4), "expected at most 4");
+        // Without a length, and with a wrong one.
+        fails(whole(b"HTTP/1.1 200 OK\r\nContent-Length: 999999999999\r\n\r\nhello", 1000), "a b");
+        fails(whole(b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nhello", 1000), "a b");
+        // It never answers, or stops in the middle.
+        fails(whole(b"", 1000), "does not answer in time");
+        fails(whole(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n", 1000), "in time");
+        fails(whole(b"nonsense\r\n\r\n", 1000), "a b");
+        fails(whole(b"HTTP/1.1 500 Oh\r\nContent-Length: 0\r\n\r\n", 1000), "the server answers 500");
+        assert_eq!(whole(b"HTTP/1.1 404 No\r\nContent-Length: 0\r\n\r\n", 9), Ok(None));
+        assert_eq!(whole(b"HTTP/1.1 403 No\r\nContent-Length: 0\r\n\r\n", 9), Ok(None));
+    }
+
+    #[test]
+    fn parts_are_those_that_were_asked_for() {
+        let part = b"HTTP/1.1 206 Part\r\nContent-Length: 3\r\nContent-Range: bytes 2-4/17\r\n\r\nllo";
+        assert_eq!(got(part, WebPart::At(2, 3), 9), Ok(Some((b"llo".to_vec(), 17))));
+        assert!(got(part, WebPart::At(2, 4), 9).unwrap_err().contains("3 bytes, expected 4"));
+        assert!(got(part, WebPart::End(10), 9).unwrap_err().contains("expected at most 9"));
+        let whole = b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\nhello";
+        assert!(got(whole, WebPart::At(2, 3), 9).unwrap_err().contains("sends no parts of files"));
+    }
+
+    #[test]
+    fn buckets_have_addresses() {
+        for (address, expected) in [
+            ("s3://janelia-cosem/a b/c.zarr", "https://janelia-cosem.s3.amazonaws.com/a%20b/c.zarr"),
+            ("S3://my.bucket/c.zarr", "https://s3.amazonaws.com/my.bucket/c.zarr"),
+            ("https://example.org/c%20d.zarr", "https://example.org/c%20d.zarr"),
+        ] {
+            assert!(is_address(address));
+            assert_eq!(http_address(address), expected);
+        }
+        for other in ["ftp://a/b", "isinglass://a", "http:/a", "/data/http://a", "s3:/a", "µ"] {
+            assert!(!is_address(other), "{other}");
+        }
+    }
+}
