@@ -3,6 +3,8 @@
 //
 // Parts after this one define a sample (march/one.wgsl or mixed.wgsl):
 //   At, fn at_point(p: vec3f) -> At
+// where there is nothing (march/gaps.wgsl or a generated line),
+//   fn is_gap(p: vec3f) -> bool
 // what matter sends to the eye (march/matte.wgsl or glossy.wgsl), what the mode makes of two
 // neighbouring samples (the other march/*.wgsl), and what becomes of the steps:
 //   fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f
@@ -174,7 +176,10 @@ fn march(ray: Ray, lattice: Lattice) {
         let next = min(i + stride, n);
         let s_back = s0 + f32(next) * h;
         let x1 = at_point(origin + dir * s_back);
-        let pace = take(Between(x0, x1, s_front, s_back, origin, dir, lattice));
+        var pace = NO_STEP;
+        if (!is_gap(origin + dir * s_front) && !is_gap(origin + dir * s_back)) {
+            pace = take(Between(x0, x1, s_front, s_back, origin, dir, lattice));
+        }
         if (pace == 0u) {
             break;
         }
@@ -219,6 +224,11 @@ fn domain_at(p: vec3f) -> f32 {
     let x11 = lerp(v(c, 0, 1, 1), v(c, 1, 1, 1), t.x);
     let value = lerp(lerp(x00, x10, t.y), lerp(x01, x11, t.y), t.z);
     return clamp(value * scene.x_scale + scene.x_offset, X_LEAST, X_GREATEST);
+}
+
+// The voxel around a point of voxel space.
+fn nearest_voxel(p: vec3f) -> vec3i {
+    return vec3i(clamp(p, vec3f(0.0), vec3f(scene.dims - 1)));
 }
 
 // Brightness of matter at a point of voxel space: that of the voxels, interpolated trilinearly.

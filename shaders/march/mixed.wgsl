@@ -55,11 +55,6 @@ fn classify_labels(channel: u32, x0: f32, x1: f32, h: f32) -> vec4f {
     return vec4f(sum.xyz / sum.w, 0.5 * sum.w * h);
 }
 
-// The voxel around a point of voxel space.
-fn nearest_voxel(p: vec3f) -> vec3i {
-    return vec3i(clamp(p, vec3f(0.0), vec3f(scene.dims - 1)));
-}
-
 fn end_march(lattice: Lattice) {
 }
 

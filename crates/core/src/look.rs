@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::channels::{Channels, ChannelsError};
 use crate::clip::{Clip, ClipError};
-use crate::kernels::march::MarchSettings;
+use crate::kernels::march::{MarchSettings, Scene};
 use crate::layer::MAX_K;
 use crate::mode::{Isos, Mode};
 use crate::text::is_control;
@@ -61,6 +61,22 @@ pub enum LookError {
 }
 
 impl Look {
+    /// The look that shows each value in any volume as this one does in `scene`.
+    pub fn at_values(&self, scene: &Scene) -> Self {
+        let all = &scene.channels;
+        let chosen = &all[usize::from(self.channels.chosen).min(all.len() - 1)];
+        let isos = match self.mode {
+            Mode::Iso if self.isos.as_slice().is_empty() => Isos::one(chosen.histogram.parting_value()),
+            _ => self.isos,
+        };
+        let mut channels = self.channels.clone();
+        for (other, facts) in channels.others.iter_mut().zip(&all[1..]) {
+            other.transfer = other.transfer.at_values(&facts.volume, &facts.histogram);
+        }
+        let transfer = self.transfer.at_values(&all[0].volume, &all[0].histogram);
+        Self { transfer, isos, channels, ..self.clone() }
+    }
+
     /// A look with this transfer function and defaults.
     pub fn new(transfer: TransferFunction) -> Self {
         let (lighting, clip) = (Lighting::default(), Clip::default());

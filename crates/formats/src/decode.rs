@@ -26,6 +26,8 @@ pub(crate) struct Decoded {
     pub(crate) voxels: Voxels,
     /// Scale and offset from stored numbers to values.
     pub(crate) value_map: (f32, f32),
+    /// For each voxel whether it has no value, if there is any such.
+    pub(crate) gaps: Option<Vec<u8>>,
     pub(crate) warnings: Vec<Warning>,
 }
 
@@ -149,7 +151,7 @@ impl VoxelSink {
     /// zero or, if zero is no value of the others, the nearest one to it. Such voxels are not a number, infinite, or a marker such as −9999. Masks, statistical
     /// maps and simulations have them outside of the measured part.
     pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
-        let mut warnings = Vec::new();
+        let (mut warnings, mut gaps) = (Vec::new(), None);
         if let Voxels::F32(v) = &mut self.voxels
             && has_gaps
         {
@@ -165,16 +167,17 @@ impl VoxelSink {
             let gap = near_zero(least, greatest);
             // Without a finite number, [`isinglass_core::volume::Volume::new`] refuses the volume.
             if num_nan + num_infinite > 0 && least.is_finite() {
+                gaps = Some(v.iter().map(|x| u8::from(!x.is_finite())).collect());
                 v.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = gap);
             }
             for (count, what) in [(num_nan, "not a number"), (num_infinite, "infinite")] {
                 if count > 0 && least.is_finite() {
-                    let text = format!("{count} voxels are {what} and are shown as {gap}");
+                    let text = format!("{count} voxels are {what}; nothing is shown there");
                     warnings.push(Warning::new(WarningKind::Values, text));
                 }
             }
             if matches!(self.dtype, Dtype::Half | Dtype::Float | Dtype::Double) {
-                warnings.extend(fill_gaps(v));
+                warnings.extend(fill_gaps(v, &mut gaps));
             }
         }
         if self.num_rounded > 0 {
@@ -187,7 +190,7 @@ impl VoxelSink {
             Dtype::Int16 => -32_768.0,
             _ => 0.0,
         };
-        Decoded { voxels: self.voxels, value_map: (1.0, offset), warnings }
+        Decoded { voxels: self.voxels, value_map: (1.0, offset), gaps, warnings }
     }
 }
 
@@ -207,7 +210,7 @@ fn near_zero(least: f32, greatest: f32) -> f32 {
 }
 
 /// Replaces the marker for a missing value by [`near_zero`] of the others. Returns a warning if there is a marker.
-fn fill_gaps(v: &mut [f32]) -> Option<Warning> {
+fn fill_gaps(v: &mut [f32], gaps: &mut Option<Vec<u8>>) -> Option<Warning> {
     // The two least and the two greatest different numbers.
     let none = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
     let [least, second, last, greatest] = v.iter().fold(none, |[a, b, c, d], &x| {
@@ -227,11 +230,12 @@ fn fill_gaps(v: &mut [f32]) -> Option<Warning> {
         return None;
     };
     let mut num = 0u64;
-    for x in v.iter_mut().filter(|x| **x == mark) {
-        *x = gap;
+    let gaps = gaps.get_or_insert_with(|| vec![0; v.len()]);
+    for (x, byte) in v.iter_mut().zip(gaps).filter(|(x, _)| **x == mark) {
+        (*x, *byte) = (gap, 1);
         num += 1;
     }
-    let text = format!("{num} voxels are {mark:?}, as if nothing was known there, and are shown as {gap}");
+    let text = format!("{num} voxels are {mark:?}, as if nothing was known there; nothing is shown");
     Some(Warning::new(WarningKind::Values, text))
 }
 

@@ -40,6 +40,7 @@ mod outline;
 mod output;
 mod overlay;
 mod packed;
+mod padding;
 mod plan;
 pub mod png;
 mod png_stack;

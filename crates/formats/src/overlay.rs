@@ -52,7 +52,8 @@ pub(crate) fn bytes_of_labels(
 }
 
 fn of_labels<'a>(options: &OpenOptions<'a>, reading: &'a Reading) -> OpenOptions<'a> {
-    let selection = Selection { channel: Some(0), ..Selection::default() };
+    // What is mirrored is mirrored with its labels.
+    let selection = Selection { channel: Some(0), flip: options.selection.flip, ..Selection::default() };
     OpenOptions { raw: None, selection, spacing: None, reading, ..*options }
 }
 

@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use isinglass_core::volume::{ChannelInfo, MAX_CHANNELS, Volume, VolumeInfo, VolumeLabel};
+use isinglass_core::volume::{ChannelInfo, MAX_CHANNELS, Volume, VolumeInfo, VolumeLabel, Voxels};
 
 use crate::axes::{Geometry, Grid};
 use crate::collector::Collector;
@@ -14,6 +14,7 @@ use crate::error::{FormatError, malformed, shown};
 use crate::hyperslab::Steps;
 use crate::labels::mark_labels;
 use crate::outline::{Level, Outline};
+use crate::padding;
 use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
 use crate::warning::{Warning, WarningKind};
@@ -84,6 +85,8 @@ pub(crate) struct Plan {
     pub(crate) labels: Vec<VolumeLabel>,
     /// The warning if neither the file nor the options have a spacing.
     pub(crate) spacing_guess: Option<String>,
+    /// The value of pixels outside of the measured part, if the file tells it.
+    pub(crate) padding: Option<f64>,
     /// Whether a float that is not a number is a voxel without a value. In a raw file, it hints at a wrong type
     /// instead.
     pub(crate) has_gaps: bool,
@@ -122,6 +125,7 @@ impl Plan {
             are_labels: false,
             labels: Vec::new(),
             spacing_guess: None,
+            padding: None,
             has_gaps: true,
             warnings: Vec::new(),
         }
@@ -446,8 +450,14 @@ fn channel_volume(
     let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));
     let value_map = (slope as f32, (slope * offset + intercept) as f32);
     let grid = &chosen.grid;
-    Volume::new(grid.dims(), grid.spacing, grid.reorder(decoded.voxels), value_map, info)
-        .map_err(|cause| FormatError::Volume { path: shown(path), cause })
+    let gaps = decoded.gaps.map(|gaps| grid.reorder(Voxels::U8(gaps)));
+    let volume = Volume::new(grid.dims(), grid.spacing, grid.reorder(decoded.voxels), value_map, info)
+        .map_err(|cause| FormatError::Volume { path: shown(path), cause })?;
+    let volume = match gaps {
+        Some(Voxels::U8(gaps)) => volume.with_gaps(gaps),
+        _ => volume,
+    };
+    Ok(padding::without_padding(volume, plan.padding))
 }
 
 /// A window with finite ends in order; files without one often have zeros.

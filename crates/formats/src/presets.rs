@@ -108,14 +108,19 @@ pub(crate) fn of_quantities(source: &str, volume: &Volume, histogram: &Histogram
     transfer
 }
 
-/// A sample of the outermost voxels, ascending.
-struct Sides(Vec<f32>);
+/// A sample of the outermost voxels.
+struct Sides {
+    /// Ascending; at least one.
+    values: Vec<f32>,
+    /// Those with nothing in them.
+    num_gaps: usize,
+}
 
 impl Sides {
     fn of(volume: &Volume) -> Self {
         let dims = volume.dims().map(|d| d as i32);
         let stride = dims.map(|d| (d / SAMPLES_PER_SIDE).max(1) as usize);
-        let mut values = Vec::new();
+        let (mut values, mut num_gaps) = (Vec::new(), 0);
         for axis in 0..3 {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             for side in [0, dims[axis] - 1] {
@@ -123,18 +128,27 @@ impl Sides {
                     for b in (0..dims[v]).step_by(stride[v]) {
                         let mut at = [0; 3];
                         (at[axis], at[u], at[v]) = (side, a, b);
+                        let [x, y, z] = at.map(|i| i as usize);
+                        let index = (z * dims[1] as usize + y) * dims[0] as usize + x;
+                        if volume.gaps().is_some_and(|gaps| gaps.bytes[index] != 0) {
+                            num_gaps += 1;
+                            continue;
+                        }
                         values.push(volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])));
                     }
                 }
             }
         }
+        if values.is_empty() {
+            values.push(volume.value_range().0);
+        }
         values.sort_unstable_by(f32::total_cmp);
-        Self(values)
+        Self { values, num_gaps }
     }
 
     /// The value that this share of them does not exceed.
     fn percentile(&self, share: f32) -> f32 {
-        self.0[((self.0.len() - 1) as f32 * share) as usize]
+        self.values[((self.values.len() - 1) as f32 * share) as usize]
     }
 
     /// The 98th percentile, if 96 % lie within `span`.
@@ -146,7 +160,8 @@ impl Sides {
     /// The share of them that hides what is behind: a few voxels let hardly any light through.
     fn opaque_share(&self, transfer: &TransferFunction, (lo, hi): (f32, f32)) -> f32 {
         let is_opaque = |value: &&f32| transfer.at((**value - lo) / (hi - lo)).1 > OPAQUE;
-        self.0.iter().filter(is_opaque).count() as f32 / self.0.len() as f32
+        let num = self.values.len() + self.num_gaps;
+        self.values.iter().filter(is_opaque).count() as f32 / num as f32
     }
 }
 

@@ -266,6 +266,7 @@ mod tests {
         let place = RecentPlace::Volume(VolumeSource {
             raw: Some(raw),
             spacing,
+            selection: Selection { flip: Flip([false, true, false]), ..Selection::default() },
             reading: Reading { stored_slices: true, thin: Some(2), ..Reading::default() },
             ..VolumeSource::new(source)
         });

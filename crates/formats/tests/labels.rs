@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use isinglass_core::volume::{Volume, VolumeLabel};
-use isinglass_formats::{FormatError, Meaning, OpenOptions, Reading, Selection, open, outline};
+use isinglass_formats::{Flip, FormatError, Meaning, OpenOptions, Reading, Selection, open, outline};
 use tempfile::TempDir;
 
 /// An NRRD file of bytes with these lines in its header.
@@ -197,6 +197,12 @@ fn labels_lie_over_a_volume_where_their_places_are() {
     let [labels] = volume.others() else { panic!("{:?}", volume.others().len()) };
     assert_eq!((numbers(&volume)[3], numbers(labels)), (80.0, vec![1.0, 2.0, 3.0, 0.0]));
     assert!(labels.info.are_labels && !volume.info.are_labels);
+    // What is mirrored is mirrored with its labels.
+    let selection = Selection { flip: Flip([true, false, false]), ..Selection::default() };
+    let options = OpenOptions { selection, reading: &over(&same), ..OpenOptions::default() };
+    let mirrored = open(scan.to_str().unwrap(), &options).unwrap();
+    assert_eq!(numbers(&mirrored), [80.0, 70.0, 60.0, 50.0]);
+    assert_eq!(numbers(&mirrored.others()[0]), [0.0, 3.0, 2.0, 1.0]);
     // Labels are at −0.9, 0.1 and 1.1 mm, and the others have none.
     let shifted = nrrd(folder, "shifted.nrrd", &body([3, 1, 1], 1.0, [-0.9, 0.0, 0.0]), &[9, 4, 6]);
     assert_eq!(numbers(&opened(&scan, &over(&shifted)).others()[0]), [4.0, 6.0, 0.0, 0.0]);

@@ -285,7 +285,8 @@ impl Layouts {
     }
 }
 
-/// Group 0 of the marching kernels: uniform, tables, occupancy, voxels, shares of light, and voxels of more channels.
+/// Group 0 of the marching kernels: uniform, tables, occupancy, voxels, shares of light, voxels of more channels, and
+/// gaps.
 pub(crate) fn scene_layout(device: &wgpu::Device, purpose: MarchPurpose) -> wgpu::BindGroupLayout {
     let texels = |kind: TexelKind| BindingType::Texture {
         sample_type: match kind {
@@ -298,6 +299,7 @@ pub(crate) fn scene_layout(device: &wgpu::Device, purpose: MarchPurpose) -> wgpu
     let mut types = vec![UNIFORM, READ, READ];
     types.extend(purpose.kinds().into_iter().map(texels));
     types.insert(4, texels(TexelKind::Uint));
+    types.extend(purpose.has_gaps.then(|| texels(TexelKind::Uint)));
     layout(device, "scene", ShaderStages::COMPUTE, &types)
 }
 

@@ -8,7 +8,7 @@ use isinglass_core::kernels::march;
 use isinglass_core::kernels::march::modes::{Surface, key_limit};
 use isinglass_core::mode::MAX_ISOS;
 use isinglass_core::transfer::TransferTable;
-use isinglass_core::volume::{Lit, Occupancy, Volume, Voxels};
+use isinglass_core::volume::{Gaps, Lit, Occupancy, Volume, Voxels};
 
 use crate::device::{Gpu, bind, scene_layout};
 use crate::error::GpuError;
@@ -22,6 +22,7 @@ pub(crate) struct SceneOnGpu {
     uploaded: Vec<(Arc<Volume>, wgpu::Texture)>,
     lit: Option<Arc<Lit>>,
     shares: wgpu::Texture,
+    gaps: Option<(Arc<Gaps>, wgpu::Texture)>,
     uniform: wgpu::Buffer,
     tables: wgpu::Buffer,
     occupancy: wgpu::Buffer,
@@ -37,7 +38,7 @@ impl SceneOnGpu {
     pub(crate) fn new(gpu: &Gpu, scene: &march::Scene) -> Result<Self, GpuError> {
         gpu.attempt("uploading the volume", || {
             let uploaded = upload_channels(gpu, scene, &[])?;
-            let shares = upload_lit(gpu, scene, None)?;
+            let (shares, gaps) = (upload_lit(gpu, scene, None)?, upload_gaps(gpu, scene)?);
             let occupancy_bytes = scene.occupancy.words.len() as u64 * 8;
             gpu.check_binding("occupancy in bytes", occupancy_bytes)?;
             let uniform = gpu.uniform::<gpu_types::Scene>("scene");
@@ -45,12 +46,13 @@ impl SceneOnGpu {
             let occupancy = gpu.storage("occupancy", occupancy_bytes);
             let purpose = purpose(scene);
             let bind_group =
-                bind_scene(gpu, purpose, scene, [&uniform, &tables, &occupancy], &uploaded, &shares);
+                bind_scene(gpu, purpose, scene, [&uniform, &tables, &occupancy], &uploaded, (&shares, &gaps));
             let on_gpu = Self {
                 whole: scene.whole().clone(),
                 uploaded,
                 lit: scene.illumination.lit().cloned(),
                 shares,
+                gaps,
                 uniform,
                 tables,
                 occupancy,
@@ -80,15 +82,23 @@ impl SceneOnGpu {
             }
             let num_uploaded = self.uploaded.len();
             self.uploaded.extend(upload_channels(gpu, scene, &self.uploaded)?);
+            let gaps_of =
+                |gaps: &Option<(Arc<Gaps>, wgpu::Texture)>| gaps.as_ref().map(|g| Arc::as_ptr(&g.0));
+            let is_gapped_alike = gaps_of(&self.gaps) == scene.volume.gaps().map(Arc::as_ptr);
+            if !is_gapped_alike {
+                self.gaps = upload_gaps(gpu, scene)?;
+            }
             let size = tables_words(scene).len() as u64 * 4;
             if self.tables.size() < size {
                 self.tables = gpu.storage("tables", size);
             }
             let purpose = purpose(scene);
             let is_mixed = purpose.mixed.is_some() || self.purpose.mixed.is_some();
-            if !is_lit_alike || self.uploaded.len() != num_uploaded || is_mixed || purpose != self.purpose {
+            let has_new = !is_lit_alike || !is_gapped_alike || self.uploaded.len() != num_uploaded;
+            if has_new || is_mixed || purpose != self.purpose {
                 let buffers = [&self.uniform, &self.tables, &self.occupancy];
-                self.bind_group = bind_scene(gpu, purpose, scene, buffers, &self.uploaded, &self.shares);
+                let light_and_gaps = (&self.shares, &self.gaps);
+                self.bind_group = bind_scene(gpu, purpose, scene, buffers, &self.uploaded, light_and_gaps);
             }
             (self.purpose, self.max_steps) = (purpose, scene.max_steps());
             self.write_look(gpu, scene);
@@ -134,23 +144,25 @@ fn purpose(scene: &march::Scene) -> MarchPurpose {
         is_over: scene.blend == Blend::Over,
     });
     let (mode, is_glossy) = (scene.settings.mode, scene.highlight().is_some());
-    MarchPurpose { kind: kind_of(&scene.volume), mode, is_glossy, mixed }
+    let has_gaps = scene.volume.gaps().is_some();
+    MarchPurpose { kind: kind_of(&scene.volume), mode, is_glossy, has_gaps, mixed }
 }
 
-/// Uniform, tables and occupancy; voxels of the channels and shares of light.
+/// Uniform, tables and occupancy; voxels of the channels, shares of light and gaps.
 fn bind_scene(
     gpu: &Gpu,
     purpose: MarchPurpose,
     scene: &march::Scene,
     [uniform, tables, occupancy]: [&wgpu::Buffer; 3],
     uploaded: &[(Arc<Volume>, wgpu::Texture)],
-    shares: &wgpu::Texture,
+    (shares, gaps): (&wgpu::Texture, &Option<(Arc<Gaps>, wgpu::Texture)>),
 ) -> wgpu::BindGroup {
     let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
     let texture = |volume| uploaded.iter().find(|(known, _)| Arc::ptr_eq(known, volume));
     let mut views: Vec<_> =
         marched(scene).filter_map(|(volume, _)| texture(volume)).map(|(_, t)| view(t)).collect();
     views.insert(1.min(views.len()), view(shares));
+    views.extend(gaps.as_ref().map(|(_, texture)| view(texture)));
     let buffers = [uniform, tables, occupancy].map(wgpu::Buffer::as_entire_binding);
     let textures = views.iter().map(wgpu::BindingResource::TextureView);
     let resources: Vec<_> = buffers.into_iter().chain(textures).collect();
@@ -196,6 +208,14 @@ fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<wgpu::Texture, GpuError> 
         Voxels::F32(v) => (wgpu::TextureFormat::R32Float, bytemuck::cast_slice(v)),
     };
     upload_texture(gpu, volume.dims(), format, bytes, None)
+}
+
+/// Uploads which voxels of the first channel have nothing in them, if there are any.
+fn upload_gaps(gpu: &Gpu, scene: &march::Scene) -> Result<Option<(Arc<Gaps>, wgpu::Texture)>, GpuError> {
+    let Some(gaps) = scene.volume.gaps() else { return Ok(None) };
+    let dims = scene.volume.dims();
+    let texture = upload_texture(gpu, dims, wgpu::TextureFormat::R8Uint, &gaps.bytes, None)?;
+    Ok(Some((gaps.clone(), texture)))
 }
 
 /// Uploads the voxels' brightness; without shading, a single texel that is never read. A texture of the same size is

@@ -111,8 +111,13 @@ fn all_purposes() -> Vec<Purpose> {
     purposes
 }
 
-const PLAIN: MarchPurpose =
-    MarchPurpose { kind: TexelKind::Uint, mode: Mode::Composite, is_glossy: false, mixed: None };
+const PLAIN: MarchPurpose = MarchPurpose {
+    kind: TexelKind::Uint,
+    mode: Mode::Composite,
+    is_glossy: false,
+    has_gaps: false,
+    mixed: None,
+};
 
 fn all_kernels() -> Vec<Kernel> {
     let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::Upscale];
@@ -122,7 +127,7 @@ fn all_kernels() -> Vec<Kernel> {
     for kind in [TexelKind::Uint, TexelKind::Float] {
         for mode in Mode::ALL {
             for is_glossy in [false, true] {
-                let purpose = MarchPurpose { kind, mode, is_glossy, mixed: None };
+                let purpose = MarchPurpose { kind, mode, is_glossy, has_gaps: is_glossy, mixed: None };
                 let extents = [Extent::Opaque, Extent::Through];
                 kernels.extend(extents.map(|extent| Kernel::Render(purpose, extent)));
                 kernels.push(Kernel::Generate(purpose));
@@ -132,7 +137,7 @@ fn all_kernels() -> Vec<Kernel> {
             [(1, 0, 1, false), (2, 0, 0, true), (3, 2, 4, false), (8, 0b1010_1010, 0b1000_0001, true)]
         {
             let mixed = Some(MixedPurpose { num_channels, floats, labels, is_over });
-            let purpose = MarchPurpose { kind, mixed, ..PLAIN };
+            let purpose = MarchPurpose { kind, mixed, has_gaps: is_over, ..PLAIN };
             kernels.extend([Kernel::Render(purpose, Extent::Opaque), Kernel::Generate(purpose)]);
         }
     }

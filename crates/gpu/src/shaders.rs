@@ -76,6 +76,8 @@ pub(crate) struct MarchPurpose {
     pub(crate) mode: Mode,
     /// Whether matter has highlights, for which a march reads 32 voxels a step.
     pub(crate) is_glossy: bool,
+    /// Whether there are voxels with nothing in them.
+    pub(crate) has_gaps: bool,
     /// The channels, if several are marched together or one has labels.
     pub(crate) mixed: Option<MixedPurpose>,
 }
@@ -169,7 +171,12 @@ impl MarchPurpose {
     /// The text from the types to what handles two samples in a mode: parts and generated lines.
     fn text(self) -> String {
         let sent = if self.is_glossy { GLOSSY } else { MATTE };
-        let start = [TYPES, SPACE, LAYER, self.kind.part(), MARCH, sent];
+        let num_others = self.mixed.map_or(0, |mixed| mixed.num_channels - 1);
+        let gaps = match self.has_gaps {
+            true => GAPS.replace("BINDING", &(FIRST_CHANNEL_BINDING + num_others).to_string()),
+            false => "fn is_gap(p: vec3f) -> bool {\n    return false;\n}\n".into(),
+        };
+        let start = [TYPES, SPACE, LAYER, self.kind.part(), MARCH, &gaps, sent];
         if let Some(mixed) = self.mixed {
             return [&start.concat(), &mixed.text(), MIXED].concat();
         }
@@ -269,6 +276,7 @@ const TEXELS_FLOAT: &str = include_str!("../../../shaders/shared/texels_float.wg
 const MARCH: &str = include_str!("../../../shaders/march.wgsl");
 const ONE_CHANNEL: &str = include_str!("../../../shaders/march/one.wgsl");
 const MIXED: &str = include_str!("../../../shaders/march/mixed.wgsl");
+const GAPS: &str = include_str!("../../../shaders/march/gaps.wgsl");
 const CHANNEL: &str = include_str!("../../../shaders/march/channel.wgsl");
 const MATTE: &str = include_str!("../../../shaders/march/matte.wgsl");
 const GLOSSY: &str = include_str!("../../../shaders/march/glossy.wgsl");

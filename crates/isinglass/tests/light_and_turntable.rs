@@ -148,7 +148,7 @@ fn film() -> Vec<u8> {
 fn times_are_pictures_and_a_movie_under_the_look_of_the_first() {
     let bench = Bench::new();
     bench.write("film.nii", film());
-    let info = bench.json("info film.nii --json");
+    let info = &bench.json("info film.nii --json")["file"];
     assert_eq!((info["num_times"].as_u64(), info["time_step"].as_f64()), (Some(5), Some(0.5)), "{info}");
     let error = |a: &str, b: &str| {
         bench.json(&format!("compare {a} {b} --json"))["max_abs_255"].as_u64().unwrap_or_default()

@@ -1,5 +1,7 @@
 //! Are images seen as on a page, bodies from their front, and does `--flip` mirror both?
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 #[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 

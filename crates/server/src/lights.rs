@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
-use isinglass_core::mode::{Isos, Mode};
 use isinglass_core::volume::{Detail, Volume};
 use tokio::sync::Semaphore;
 
@@ -24,18 +23,7 @@ pub(crate) struct Lights {
 impl Lights {
     /// A look that shows each value in any volume as this one does.
     pub(crate) fn at_values(&self, look: &Look) -> Look {
-        let Scene { channels: all, .. } = &*self.base;
-        let chosen = &all[usize::from(look.channels.chosen).min(all.len() - 1)];
-        let isos = match look.mode {
-            Mode::Iso if look.isos.as_slice().is_empty() => Isos::one(chosen.histogram.parting_value()),
-            _ => look.isos,
-        };
-        let mut channels = look.channels.clone();
-        for (other, facts) in channels.others.iter_mut().zip(&all[1..]) {
-            other.transfer = other.transfer.at_values(&facts.volume, &facts.histogram);
-        }
-        let transfer = look.transfer.at_values(&all[0].volume, &all[0].histogram);
-        Look { transfer, isos, channels, ..look.clone() }
+        look.at_values(&self.base)
     }
 
     /// `scene` belongs to `look` and has all of its shade.

@@ -167,6 +167,8 @@ pub struct Marcher<'a, T> {
     highlight: Option<Highlight>,
     /// All visible channels, if the march mixes them.
     channels: Vec<MixedChannel<'a>>,
+    /// Voxels with nothing in them.
+    gaps: Option<Grid<&'a [u8]>>,
     visible_bins: VisibleBins,
     /// See [`modes::key_limit`].
     pub(crate) key_limit: f32,
@@ -188,6 +190,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
             lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims), &**lit)),
             highlight: scene.highlight(),
             channels: MixedChannel::all(scene),
+            gaps: scene.volume.gaps().map(|gaps| Grid::new(&gaps.bytes[..], dims)),
             visible_bins: VisibleBins::of(&scene.table),
             key_limit: modes::key_limit(scene.settings.mode, &scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
@@ -279,6 +282,9 @@ impl<'a, T: Texels> Marcher<'a, T> {
                 x_front.unwrap_or_else(|| self.domain::<MODE>(self.voxels.sample(origin + dir * s_first)));
             let (s_front, x0) = (behind(s_first, &s_back), behind(x_first, &x1));
             let mut steps = self.visible_steps::<MODE>(&x0, &x1);
+            if let Some(gaps) = &self.gaps {
+                steps &= gaps.steps_without(origin, dir, &s_front, &s_back);
+            }
             let num_steps = (n - i).div_ceil(stride);
             if num_steps < LANES as u32 {
                 steps &= (1 << num_steps) - 1;

@@ -6,6 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::gaps::{self, Gaps};
 pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
@@ -137,6 +138,7 @@ pub struct Volume {
     stored_range: (f32, f32),
     /// See [`Volume::others`].
     others: Vec<Arc<Volume>>,
+    gaps: Option<Arc<Gaps>>,
     /// Name, type and remarks.
     pub info: VolumeInfo,
 }
@@ -240,8 +242,29 @@ impl Volume {
                 offset: value_offset,
             });
         }
-        let others = Vec::new();
-        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, others, info })
+        let (others, gaps) = (Vec::new(), None);
+        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, others, gaps, info })
+    }
+
+    /// The volume with nothing in the voxels whose byte is not 0, one for each voxel, x fastest. They are neither
+    /// counted nor shown. A volume without any other voxel, and one with another number of bytes, stay as they are.
+    pub fn with_gaps(mut self, bytes: Vec<u8>) -> Self {
+        let num_gaps = bytes.par_iter().filter(|byte| **byte != 0).count();
+        if bytes.len() != self.voxels.len() || num_gaps == 0 || num_gaps == bytes.len() {
+            return self;
+        }
+        match &mut self.voxels {
+            Voxels::U8(v) => self.stored_range = gaps::fill(v, &bytes, self.dims),
+            Voxels::U16(v) => self.stored_range = gaps::fill(v, &bytes, self.dims),
+            Voxels::F32(v) => self.stored_range = gaps::fill(v, &bytes, self.dims),
+        }
+        self.gaps = Some(Arc::new(Gaps { bytes, num_gaps: num_gaps as u64 }));
+        self
+    }
+
+    /// The voxels with nothing in them, if there are any.
+    pub fn gaps(&self) -> Option<&Arc<Gaps>> {
+        self.gaps.as_ref()
     }
 
     /// This volume as the first channel, shown together with `others` on the same grid.
@@ -322,7 +345,8 @@ impl Volume {
 
     /// Memory of the voxels of all channels and of their brightness, which shaded pictures need ([`super::Lit`]), bytes.
     pub fn bytes_in_memory(&self) -> u64 {
-        let of_voxel = self.channels().map(|channel| channel.voxels.bytes_per_voxel()).sum::<usize>();
+        let bytes = |c: &Self| c.voxels.bytes_per_voxel() + usize::from(c.gaps.is_some());
+        let of_voxel = self.channels().map(bytes).sum::<usize>();
         self.voxels.len() as u64 * (of_voxel + BRIGHTNESS_BYTES) as u64
     }
 

@@ -21,9 +21,10 @@ impl Histogram {
     /// The histogram of a volume in at most 65 536 bins: exact for 8- and 16-bit volumes. If a few distant floats
     /// would squeeze the others into a few bins, the bins cover only the others.
     pub fn of(volume: &Volume) -> Self {
+        let known = volume.gaps().map(|gaps| known(volume.voxels(), &gaps.bytes));
         let (stored_lo, stored_hi) = volume.stored_range();
         let mut range = (stored_lo, stored_hi);
-        let mut counts = match volume.voxels() {
+        let mut counts = match known.as_ref().unwrap_or(volume.voxels()) {
             Voxels::U8(v) => counted(v, stored_lo, stored_hi),
             Voxels::U16(v) => counted(v, stored_lo, stored_hi),
             Voxels::F32(v) => {
@@ -84,6 +85,18 @@ impl Histogram {
     /// The value that best separates lower and higher voxels: the greatest variance between the classes (Otsu 1979).
     pub fn parting_value(&self) -> f32 {
         parting_value(&self.counts, (self.lo, self.hi))
+    }
+}
+
+/// The voxels that are no gaps.
+fn known(voxels: &Voxels, gaps: &[u8]) -> Voxels {
+    fn of<T: Copy>(voxels: &[T], gaps: &[u8]) -> Vec<T> {
+        voxels.iter().zip(gaps).filter(|(_, gap)| **gap == 0).map(|(v, _)| *v).collect()
+    }
+    match voxels {
+        Voxels::U8(v) => Voxels::U8(of(v, gaps)),
+        Voxels::U16(v) => Voxels::U16(of(v, gaps)),
+        Voxels::F32(v) => Voxels::F32(of(v, gaps)),
     }
 }
 

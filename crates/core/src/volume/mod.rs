@@ -5,6 +5,7 @@ mod bricks;
 mod classification;
 mod extinction;
 pub mod fields;
+mod gaps;
 mod grid;
 mod histogram;
 mod illumination;
@@ -18,6 +19,7 @@ mod slice;
 
 pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
 pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
+pub use gaps::Gaps;
 pub use grid::{ChannelInfo, MAX_CHANNELS, Placement, Volume, VolumeError, VolumeInfo, VolumeLabel, Voxels};
 pub use histogram::{Histogram, parting_value};
 pub use illumination::{Illumination, Occlusion};

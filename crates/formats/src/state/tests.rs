@@ -67,6 +67,7 @@ fn state(seed: u32) -> SavedState {
             region: Some("1:5,:,7:".into()),
             time: Some(3),
             given_spacing: (seed % 3 == 1).then(|| [0.1, odd(seed), 2.0]),
+            flip: (seed % 3 == 1).then(|| "x,z".into()),
             stored_slices: (seed % 3 == 1).then_some(true),
             voxels: (seed % 3 == 1).then_some(Meaning::Labels),
             labels: (seed % 3 == 1).then(|| "/data/l.nii".into()),
@@ -241,7 +242,8 @@ fn a_volume_of_numbers_that_are_none_is_refused() {
 #[test]
 fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
     let volume = state(1).volume.unwrap();
-    let selection = Selection { time: Some(3), region: "1:5,:,7:".parse().ok(), ..Selection::default() };
+    let (region, flip) = ("1:5,:,7:".parse().ok(), Flip([true, false, true]));
+    let selection = Selection { time: Some(3), region, flip, ..Selection::default() };
     let source = VolumeSource {
         source: "/data/a b/head.nrrd".into(),
         raw: Some(raw(1)),

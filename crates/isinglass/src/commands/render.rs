@@ -11,12 +11,10 @@ use clap::error::ErrorKind;
 use isinglass_bench::progress::Progress;
 use isinglass_client::CameraPath;
 use isinglass_core::camera::{Camera, Pose};
-use isinglass_core::kernels::march::{MarchSettings, Scene};
-use isinglass_core::mode::{Isos, Mode};
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::look::Look;
 use isinglass_core::orbit::Orbit;
 use isinglass_core::space::Aabb;
-use isinglass_core::transfer::TransferFunction;
-use isinglass_formats::OpenedScene;
 use isinglass_formats::movie::{INTERVAL, MovieForm, MovieWriter, PICTURES_PER_SECOND, interval_of_times};
 use serde_json::json;
 
@@ -93,7 +91,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         Series::Times(times, _) => seen.volume(&args.volume)?.at_time(times[0]),
         _ => args.volume.clone(),
     };
-    let (opened, _) = seen.open(&volume, &args.look, lighting, &ListArgs::default())?;
+    let (opened, look) = seen.open(&volume, &args.look, lighting, &ListArgs::default())?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
     let letters = opened.scene.volume.info.orientation.clone();
@@ -106,7 +104,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
     if let (None, Names::Folder(folder)) = (movie, &names) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    let at_values = Frozen::of(&opened);
+    let at_values = look.at_values(&opened.scene);
     let (renderer, backend) = args.backend.renderer(opened.scene)?;
     let mut renderer = Some(renderer);
     let mut progress = is_series.then(|| Progress::new("pictures", num_pictures.into()));
@@ -128,7 +126,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
                 if number > 0 {
                     // Two volumes at a time would need memory for both.
                     drop(renderer.take());
-                    renderer = Some(backend.renderer(at_values.scene(&volume.at_time(label))?)?);
+                    renderer = Some(backend.renderer(scene_under(&at_values, &volume.at_time(label))?)?);
                 }
             }
             Series::One | Series::Turn(_) => {}
@@ -298,28 +296,11 @@ impl FromStr for TimeRange {
     }
 }
 
-/// A look that shows each value of any volume as the first one does.
-struct Frozen {
-    transfer: TransferFunction,
-    settings: MarchSettings,
-}
-
-impl Frozen {
-    fn of(opened: &OpenedScene) -> Self {
-        let Scene { volume, histogram, settings, .. } = &opened.scene;
-        let isos = match settings.mode {
-            Mode::Iso if settings.isos.as_slice().is_empty() => Isos::one(histogram.parting_value()),
-            _ => settings.isos,
-        };
-        let settings = MarchSettings { isos, ..*settings };
-        Self { transfer: opened.transfer.at_values(volume, histogram), settings }
-    }
-
-    /// Opens a volume with this look.
-    fn scene(&self, volume: &VolumeArgs) -> Result<Scene> {
-        let (volume, _) = volume.open()?;
-        Ok(Scene::new(Arc::new(volume), &self.transfer, self.settings))
-    }
+/// Opens a volume under a look of values.
+fn scene_under(look: &Look, volume: &VolumeArgs) -> Result<Scene> {
+    let (volume, _) = volume.open()?;
+    let (channels, settings) = (look.channels.clone(), look.march_settings());
+    Ok(Scene::with_channels(Arc::new(volume), &look.transfer, channels, settings))
 }
 
 /// Names of the pictures.

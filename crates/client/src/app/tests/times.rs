@@ -1,4 +1,5 @@
-//! Are the times of a file played by a key and by a button, one after the other, and does playing end where it should?
+//! Are the times of a file played by a key and by a button, one after the other, and does playing end where it should? Can
+//! a volume be mirrored?
 
 use isinglass_core::ids::LoadId;
 use isinglass_core::wire::{Choices, LoadState, LoadStatus};
@@ -130,4 +131,29 @@ fn playing_ends_with_the_connection_and_does_not_begin_without_one() {
     let mut w = window([1280.0, 720.0]);
     press(&mut w, Modifiers::NONE, Key::Space);
     assert!(!is_playing(&w) && w.query_by_label_contains("nothing to play").is_some());
+}
+
+#[test]
+fn a_volume_is_mirrored_by_the_menu_with_its_region() {
+    let mut w = window([1280.0, 720.0]);
+    w.get_by_label("Views").click();
+    rest(&mut w);
+    assert!(w.query_by_label_contains("Mirror").is_none(), "this server shows one part only");
+    w.get_by_label("Views").click();
+    rest(&mut w);
+    let region = Some([[2, 9], [0, u32::MAX], [5, 24]]);
+    let shown = Part { region, ..at(0) };
+    let choices =
+        Choices { shown, whole_dims: [24; 3], num_channels: 1, num_series: 1, ..Choices::default() };
+    w.state().viewing.source().talk().selection.handle_choices(Choices { num_times: 1, ..choices });
+    rest(&mut w);
+    w.get_by_label("Views").click();
+    rest(&mut w);
+    w.get_by_label_contains("Mirror").click();
+    rest(&mut w);
+    w.get_by_label("Along x").click();
+    rest(&mut w);
+    let wanted =
+        Part { flip: [true, false, false], region: Some([[15, 22], [0, u32::MAX], [5, 24]]), ..shown };
+    assert_eq!(w.state().viewing.source().here().selected, [wanted]);
 }

@@ -141,6 +141,12 @@ impl<T: Texels> Grid<T> {
         self.texels.at(at(2) + at(1) + at(0))
     }
 
+    /// One bit per step, set where the voxels around both ends have the value 0.
+    pub(super) fn steps_without(&self, origin: Vec3, dir: Vec3, s_front: &Lanes, s_back: &Lanes) -> u32 {
+        let is_clear = |s: f32| self.nearest(origin + dir * s) == 0.0;
+        (0..LANES).map(|m| u32::from(is_clear(s_front[m]) && is_clear(s_back[m])) << m).sum()
+    }
+
     /// The values at the points origin + dir·s in voxel space.
     // These are loops and not `map`, because the compiler does not use wider instructions in closures.
     #[inline(always)]

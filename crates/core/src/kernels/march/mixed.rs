@@ -4,6 +4,8 @@
 //! optical depth τ_j. Media mix: τ = Σ τ_j and c = Σ c_j·τ_j / τ. Light adds up: τ = max τ_j and c = min(Σ c_j·τ_j / τ, 1).
 //! Both are laws of densities, so the length of steps does not matter.
 //!
+//! Where the first of the channels has nothing, no channel is shown.
+//!
 //! Labels are names, so nothing lies between two of them. A sample is the label of the nearest voxel, and a step has the
 //! mean density of the labels at both ends.
 
@@ -141,6 +143,9 @@ impl<T: Texels> Marcher<'_, T> {
                 let first = channel.positions(origin, dir, &[s_front[0]; LANES])[0];
                 *x0 = super::behind(first, x1);
                 steps |= channel.visible_steps(x0, x1);
+            }
+            if let Some(gaps) = &self.gaps {
+                steps &= gaps.steps_without(origin, dir, &s_front, &s_back);
             }
             let num_steps = (n - i).div_ceil(stride);
             if num_steps < LANES as u32 {
