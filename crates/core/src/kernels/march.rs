@@ -27,7 +27,7 @@ pub use self::glossy::Highlight;
 use self::glossy::{LightLanes, VoxelRay};
 pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
-use self::mixed::MixedChannel;
+use self::mixed::{MIXED, MixedChannel};
 use self::modes::{Collected, SURFACES, SamplePair};
 pub use self::scene::{ChannelFacts, Medium, Scene};
 use self::skipper::{Skipper, VisibleBins};
@@ -204,7 +204,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// thickness, see `surfaces`.
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         if !self.channels.is_empty() {
-            return self.march_channels(ray, lattice, sink);
+            return self.march_mode::<MIXED>(ray, lattice, sink);
         }
         if self.scene.settings.mode != Mode::Iso {
             return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);
@@ -248,6 +248,9 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// the last are not needed.
     #[inline(always)]
     fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        if MODE == MIXED {
+            return self.march_channels(ray, lattice, sink);
+        }
         let Lattice { s0, h, n, .. } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
         let voxel_ray =

@@ -118,6 +118,7 @@ impl<'a> MixedChannel<'a> {
 
 impl<T: Texels> Marcher<'_, T> {
     /// Marches all channels together, [`LANES`] steps at once like the march of one channel.
+    #[inline(always)]
     pub(super) fn march_channels(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let Lattice { s0, h, n, .. } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
@@ -181,6 +182,9 @@ impl<T: Texels> Marcher<'_, T> {
         }
     }
 }
+
+/// Several channels or labels, as a const parameter of the march beside the numbers of modes.
+pub(super) const MIXED: u8 = u8::MAX;
 
 /// Colour and optical depth of the channels together.
 #[inline(always)]
