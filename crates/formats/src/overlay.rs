@@ -52,8 +52,7 @@ pub(crate) fn bytes_of_labels(
 }
 
 fn of_labels<'a>(options: &OpenOptions<'a>, reading: &'a Reading) -> OpenOptions<'a> {
-    // What is mirrored is mirrored with its labels.
-    let selection = Selection { channel: Some(0), flip: options.selection.flip, ..Selection::default() };
+    let selection = Selection { channel: Some(0), ..Selection::default() };
     OpenOptions { raw: None, selection, spacing: None, reading, ..*options }
 }
 
