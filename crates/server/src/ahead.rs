@@ -82,7 +82,7 @@ impl ReadAhead {
     /// Another part is shown now, of `shown` bytes. `before` is the part before it, which may be shown again.
     pub(crate) fn follow(&mut self, before: Option<Read>, now: &Choices, shown: u64) {
         let is_alike = |read: &Read| line_of(&read.parts.shown) == line_of(&now.shown);
-        let number = now.num_times;
+        let number = now.num_times.max(1);
         self.is_forwards = before.as_ref().filter(|read| is_alike(read)).and_then(|read| {
             let by = steps(time_of(&read.parts.shown), time_of(&now.shown), number);
             [1, number - 1].contains(&by).then_some(by == 1)
