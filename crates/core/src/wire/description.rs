@@ -127,13 +127,15 @@ impl VolumeDescription {
 impl ChannelDescription {
     /// Describes channel `number`, from 0. `histogram` must be its own.
     fn of(number: usize, volume: &Volume, histogram: &Histogram) -> Self {
-        let name = text::printable(&volume.info.channel.name, MAX_LABEL_CHARS);
+        let names = [&volume.info.channel.name, &volume.info.name];
+        let name =
+            names.map(|name| text::printable(name, MAX_LABEL_CHARS)).into_iter().find(|n| !n.is_empty());
         let label = |label: &VolumeLabel| VolumeLabel {
             name: text::printable(&label.name, MAX_LABEL_CHARS),
             ..label.clone()
         };
         Self {
-            name: if name.is_empty() { format!("channel {number}") } else { name },
+            name: name.unwrap_or_else(|| format!("channel {number}")),
             value_range: volume.value_range(),
             histogram_range: (histogram.lo, histogram.hi),
             histogram: in_bins(histogram, MAX_CHANNEL_BINS),
