@@ -58,6 +58,8 @@ pub struct Outline {
     /// Unit of the values, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value_unit: Option<String>,
+    /// Whether the file says that the values are labels.
+    pub are_labels: bool,
     /// What the values mean, if they are labels.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub labels: Vec<VolumeLabel>,
@@ -116,6 +118,9 @@ impl fmt::Display for Outline {
         }
         for (i, series) in self.series.iter().enumerate() {
             writeln!(f, "  series {i:<5} {series}")?;
+        }
+        if self.are_labels && self.labels.is_empty() {
+            writeln!(f, "  labels       the values are labels without names")?;
         }
         for VolumeLabel { value, name, color } in self.labels.iter().take(MAX_LABELS) {
             let color = color.map_or(String::new(), |[r, g, b]| format!(" #{r:02x}{g:02x}{b:02x}"));

@@ -309,6 +309,7 @@ impl Plan {
             series: self.series.clone(),
             modality: self.modality.clone(),
             value_unit: self.value_unit.clone(),
+            are_labels: self.are_labels || !self.labels.is_empty(),
             labels: self.labels.clone(),
             center: grid.placement.map(|p| p.center),
             directions: grid.placement.map(|p| p.axes),
