@@ -28,12 +28,16 @@ impl FirstLook {
         let histogram = Histogram::of(&volume);
         let domain = transfer.at_values(&volume, &histogram).domain;
         let Domain::Values(lo, hi) = domain else { panic!("{domain:?}") };
-        let mut sides = outermost(&volume);
+        let (mut sides, num_sides) = outermost(&volume);
         sides.sort_unstable_by(f32::total_cmp);
-        let is_filled = |value: &&f32| transfer.at((**value - lo) / (hi - lo)).1 > 0.1;
-        let filled = sides.iter().filter(is_filled).count() as f32 / sides.len() as f32;
-        let brightest = sides[(sides.len() - 1) * 98 / 100];
-        let has_more_within = brightest < histogram.percentile(99.8);
+        // Of labels, all but zero are opaque, whatever the transfer function says.
+        let is_filled = |value: &&f32| match volume.info.are_labels {
+            true => **value != 0.0,
+            false => transfer.at((**value - lo) / (hi - lo)).1 > 0.1,
+        };
+        let filled = sides.iter().filter(is_filled).count() as f32 / num_sides as f32;
+        let brightest = sides.get(sides.len().saturating_sub(1) * 98 / 100);
+        let has_more_within = brightest.is_none_or(|brightest| *brightest < histogram.percentile(99.8));
         let bounds = volume.bounds();
         let orbit = Orbit::default().upright(volume.info.orientation.as_deref());
         let scene = Scene::new(volume.into(), transfer, MarchSettings::default());
@@ -54,22 +58,25 @@ impl FirstLook {
     }
 }
 
-/// The values of the outermost voxels; those that are nothing are left out.
-fn outermost(volume: &Volume) -> Vec<f32> {
+/// The values of the outermost voxels without those with nothing in them, and the number of all.
+fn outermost(volume: &Volume) -> (Vec<f32>, usize) {
     let dims = volume.dims().map(|n| n as i32);
-    let mut values = Vec::new();
+    let (mut values, mut num_all) = (Vec::new(), 0);
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         for side in [0, dims[axis] - 1] {
             for (a, b) in (0..dims[u]).step_by(3).flat_map(|a| (0..dims[v]).step_by(3).map(move |b| (a, b))) {
                 let mut at = [0; 3];
                 (at[axis], at[u], at[v]) = (side, a, b);
-                values.push(volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])));
+                num_all += 1;
+                let index = (at[2] * dims[1] + at[1]) * dims[0] + at[0];
+                if volume.gaps().is_none_or(|gaps| gaps.bytes[index as usize] == 0) {
+                    values.push(volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])));
+                }
             }
         }
     }
-    values.retain(|value| value.is_finite());
-    values
+    (values, num_all)
 }
 
 /// Folders in the data folder, of volumes.
