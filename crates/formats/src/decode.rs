@@ -332,7 +332,7 @@ mod tests {
         [3.0, f32::NAN, -2.0].iter().for_each(|x: &f32| s.push_bytes(&x.to_le_bytes()));
         let decoded = s.finish(true);
         assert_eq!(decoded.voxels, Voxels::F32(vec![3.0, 0.0, -2.0]));
-        assert_eq!(decoded.warnings[0].text, "1 voxels are not a number and are shown as 0");
+        assert_eq!(decoded.warnings[0].text, "1 voxels are not a number; nothing is shown there");
         for (numbers, gap) in [
             ([3.0, f32::NAN, 2.0], 2.0),
             ([-3.0, f32::NAN, -2.0], -2.0),
@@ -348,7 +348,7 @@ mod tests {
             .for_each(|x: &f32| s.push_bytes(&x.to_le_bytes()));
         let decoded = s.finish(true);
         assert_eq!(decoded.voxels, Voxels::F32(vec![0.0, 3.0, 0.0, -2.0]));
-        assert_eq!(decoded.warnings[0].text, "2 voxels are infinite and are shown as 0");
+        assert_eq!(decoded.warnings[0].text, "2 voxels are infinite; nothing is shown there");
         let mut s = sink(Dtype::Float, Endian::Little);
         s.push_bytes(&f32::INFINITY.to_le_bytes());
         assert_eq!(
