@@ -150,6 +150,10 @@ fn number_at(volume: &Volume, at: [i32; 3], slope: f32) -> f32 {
     (volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])) / slope).round()
 }
 
+fn bytes_of_gaps(volume: &Volume) -> u64 {
+    volume.channels().filter(|c| c.gaps().is_some()).map(|c| c.voxels().len() as u64).sum()
+}
+
 #[test]
 fn every_file_opens_as_independent_readers_read_it() {
     let Some(folder) = data_dir() else { return };
@@ -161,7 +165,8 @@ fn every_file_opens_as_independent_readers_read_it() {
         assert_eq!(before.format, expected.format, "{file}");
         assert_eq!(
             (before.dims, before.bytes_in_memory),
-            (volume.dims(), volume.bytes_in_memory()),
+            // No header tells whether voxels have nothing in them, which takes a byte more each.
+            (volume.dims(), volume.bytes_in_memory() - bytes_of_gaps(&volume)),
             "{file}"
         );
         assert_eq!(volume.dims(), expected.dims, "{file}");

@@ -1,6 +1,8 @@
 //! Do several channels, and labels, look the same on the GPU and in their Rust twin? On any adapter, lavapipe too; the
 //! tolerance is that of `isinglass_tests::twins`.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::sync::Arc;
 
 use isinglass_core::channels::{Blend, ChannelLook, Channels, Visibility};

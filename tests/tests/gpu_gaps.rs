@@ -1,6 +1,8 @@
 //! Are voxels with nothing in them transparent in every mode, on the CPU and on the GPU? On any adapter, lavapipe too;
 //! the tolerance is that of `isinglass_tests::twins`.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::sync::Arc;
 
 use glam::Vec3;

@@ -1,5 +1,7 @@
 //! The viewer's choices for the picture: mode, classification, shading and list lengths.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use crate::channels::{Channels, ChannelsError};
@@ -9,7 +11,7 @@ use crate::layer::MAX_K;
 use crate::mode::{Isos, Mode};
 use crate::text::is_control;
 use crate::transfer::{TransferError, TransferFunction};
-use crate::volume::{Lighting, LightingError};
+use crate::volume::{Detail, Lighting, LightingError, Occlusion, Volume};
 
 /// The choices behind a frame. Each change has a [`LookVersion`](crate::ids::LookVersion).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -129,6 +131,21 @@ impl Look {
     pub fn march_settings(&self) -> MarchSettings {
         let &Self { shaded, lighting, clip, mode, isos, .. } = self;
         MarchSettings { clip, mode, isos, ..MarchSettings::of(shaded, lighting) }
+    }
+}
+
+impl Scene {
+    /// Prepares a volume under a valid look.
+    pub fn of_look(volume: Arc<Volume>, look: &Look) -> Self {
+        Self::with_channels(volume, &look.transfer, look.channels.clone(), look.march_settings())
+    }
+
+    /// The same volume under another look. Its shade has this detail; a draft takes its ambient occlusion from `near`,
+    /// or has none.
+    pub fn under(&self, look: &Look, detail: Detail, near: Option<&Occlusion>) -> Self {
+        let settings = MarchSettings { detail, ..look.march_settings() };
+        let (channels, looks) = (self.channels.clone(), look.channels.clone());
+        Self::build(channels, &look.transfer, looks, settings, Some((self, near)))
     }
 }
 

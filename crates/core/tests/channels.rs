@@ -1,5 +1,7 @@
 //! Several channels in one march: closed forms of both blends, labels without anything between them, and what is hidden.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::sync::Arc;
 
 use glam::Vec3;

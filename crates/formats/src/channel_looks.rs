@@ -8,7 +8,7 @@ use crate::presets::of_quantities;
 
 /// How the values of a channel become colours.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Colors {
+pub(crate) enum ChannelColors {
     /// Each label has a colour of its own.
     Labels,
     /// All in one colour, sRGB, more opaque where the value is greater.
@@ -18,21 +18,21 @@ pub(crate) enum Colors {
 }
 
 /// The colours of channel `number`, from 0, of a volume. `None` for quantities that have no channels beside them.
-pub(crate) fn of_channel(number: usize, whole: &Volume) -> Option<Colors> {
+pub(crate) fn of_channel(number: usize, whole: &Volume) -> Option<ChannelColors> {
     let channel = whole.channels().nth(number)?;
     if channel.info.are_labels {
-        return Some(Colors::Labels);
+        return Some(ChannelColors::Labels);
     }
     let components: Vec<_> = whole.channels().map(|c| c.info.channel.color).collect();
     let is_quantity = |c: &&Volume| !c.info.are_labels;
     if PRIMARIES.iter().map(|p| Some(*p)).eq(components.iter().take(3).copied())
         && whole.channels().take(3).map(|c| &*c.info.channel.name).eq(["red", "green", "blue"])
     {
-        return PRIMARIES.get(number).map(|color| Colors::OfPixels(*color));
+        return PRIMARIES.get(number).map(|color| ChannelColors::OfPixels(*color));
     }
     let own = channel.info.channel.color;
     let has_company = whole.channels().filter(is_quantity).count() > 1;
-    own.or(has_company.then(|| PALETTE[number % PALETTE.len()])).map(Colors::Plain)
+    own.or(has_company.then(|| PALETTE[number % PALETTE.len()])).map(ChannelColors::Plain)
 }
 
 /// The looks of a volume's channels, beside the transfer function of the first.
@@ -42,9 +42,9 @@ pub fn default_channels(volume: &Volume) -> Channels {
     let look = |(number, channel): (usize, &Volume)| {
         let quantities = || of_quantities("", channel, &Histogram::of(channel));
         let transfer = match of_channel(number, volume) {
-            Some(Colors::Labels) => of_labels(),
-            Some(Colors::Plain(color)) => in_color(quantities(), color),
-            Some(Colors::OfPixels(color)) => of_pixels(channel, color),
+            Some(ChannelColors::Labels) => of_labels(),
+            Some(ChannelColors::Plain(color)) => in_color(quantities(), color),
+            Some(ChannelColors::OfPixels(color)) => of_pixels(channel, color),
             None => quantities(),
         };
         ChannelLook { transfer, visibility: visibility(channel) }
@@ -135,7 +135,7 @@ mod tests {
         let nuclei = channel("nuclei", Some([10, 20, 30]), false);
         let whole = with(nuclei, vec![channel("a", None, true), channel("b", None, false)]);
         let colors: Vec<_> = (0..3).map(|i| of_channel(i, &whole)).collect();
-        let plain = |color| Some(Colors::Plain(color));
+        let plain = |color| Some(ChannelColors::Plain(color));
         assert_eq!(colors, [plain([10, 20, 30]), plain(PALETTE[1]), plain(PALETTE[2])]);
         let looks = default_channels(&whole);
         assert_eq!(looks.blend, Blend::Additive);
@@ -152,10 +152,10 @@ mod tests {
         let [red, green, blue] = PRIMARIES.map(Some);
         let component = |name, color| channel(name, color, false);
         let pixels = with(component("red", red), vec![component("green", green), component("blue", blue)]);
-        assert_eq!(of_channel(1, &pixels), Some(Colors::OfPixels(PRIMARIES[1])));
+        assert_eq!(of_channel(1, &pixels), Some(ChannelColors::OfPixels(PRIMARIES[1])));
         // The control: three channels in the same colours that are no pixel's.
         let channels = with(component("a", red), vec![component("b", green), component("c", blue)]);
-        assert_eq!(of_channel(1, &channels), Some(Colors::Plain(PRIMARIES[1])));
+        assert_eq!(of_channel(1, &channels), Some(ChannelColors::Plain(PRIMARIES[1])));
         let mut labels = channel("", None, false);
         labels.info.are_labels = true;
         let looks = default_channels(&with(channel("", None, false), vec![labels]));

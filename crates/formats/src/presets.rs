@@ -5,7 +5,7 @@ use isinglass_core::transfer::{Domain, TransferFunction};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
 
-use crate::channel_looks::{Colors, in_color, of_channel, of_labels, of_pixels};
+use crate::channel_looks::{ChannelColors, in_color, of_channel, of_labels, of_pixels};
 use crate::transfer::transfer_from_toml;
 use crate::units::may_be_hounsfield;
 
@@ -62,9 +62,9 @@ pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &
 /// resin or gel, which would hide it: then the domain begins so high that the outermost voxels are clear.
 pub fn default_transfer(source: &str, volume: &Volume, histogram: &Histogram) -> TransferFunction {
     match of_channel(0, volume) {
-        Some(Colors::Labels) => of_labels(),
-        Some(Colors::Plain(color)) => in_color(of_quantities(source, volume, histogram), color),
-        Some(Colors::OfPixels(color)) => of_pixels(volume, color),
+        Some(ChannelColors::Labels) => of_labels(),
+        Some(ChannelColors::Plain(color)) => in_color(of_quantities(source, volume, histogram), color),
+        Some(ChannelColors::OfPixels(color)) => of_pixels(volume, color),
         None => of_quantities(source, volume, histogram),
     }
 }

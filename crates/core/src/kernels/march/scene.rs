@@ -6,12 +6,11 @@ use super::modes::{self, Surface};
 use super::{Lattice, MAX_STEPS, MarchSettings, surfaces};
 use crate::channels::{Blend, Channels, Visibility};
 use crate::clip::Region;
-use crate::look::Look;
 use crate::mode::Mode;
 use crate::space::Ray;
 use crate::transfer::{TransferFunction, TransferTable};
 use crate::volume::{
-    Bricks, Detail, Histogram, Illumination, Occlusion, Occupancy, Volume, opacity_table, opacity_volume,
+    Bricks, Histogram, Illumination, Occlusion, Occupancy, Volume, opacity_table, opacity_volume,
 };
 
 /// A volume that is ready to be marched, with bricks and a tabulated transfer function.
@@ -94,11 +93,6 @@ impl Scene {
         Self::with_channels(volume, transfer, Channels::default(), settings)
     }
 
-    /// Prepares a volume under a valid look.
-    pub fn of_look(volume: Arc<Volume>, look: &Look) -> Self {
-        Self::with_channels(volume, &look.transfer, look.channels.clone(), look.march_settings())
-    }
-
     /// Prepares a volume with looks of its channels. `transfer`, of the first, must be valid.
     pub fn with_channels(
         volume: Arc<Volume>,
@@ -128,15 +122,8 @@ impl Scene {
         Self::build(self.channels.clone(), transfer, self.looks.clone(), settings, Some((self, near)))
     }
 
-    /// The same volume under another look. Its shade has this detail; a draft takes its ambient occlusion from `near`,
-    /// or has none.
-    pub fn under(&self, look: &Look, detail: Detail, near: Option<&Occlusion>) -> Self {
-        let settings = MarchSettings { detail, ..look.march_settings() };
-        let (channels, looks) = (self.channels.clone(), look.channels.clone());
-        Self::build(channels, &look.transfer, looks, settings, Some((self, near)))
-    }
-
-    fn build(
+    /// Prepares channels, and takes from another scene of the same volume what stays.
+    pub(crate) fn build(
         channels: Arc<[ChannelFacts]>,
         transfer: &TransferFunction,
         looks: Channels,
