@@ -1,18 +1,18 @@
 // The march through a volume: steps along a ray, classified and shaded, handed to sink_step. Twin of
 // crates/core/src/kernels/march.rs; the derivations are there.
 //
-// Parts after this one define a sample (march/one.wgsl or mixed.wgsl):
+// Parts after this one define four things. First, a sample (march/one.wgsl or mixed.wgsl):
 //   At, fn at_point(p: vec3f) -> At
-// where there is nothing (march/gaps.wgsl or a generated line),
+// Second, where there is nothing (march/gaps.wgsl or a generated line):
 //   fn is_gap(p: vec3f) -> bool
-// what matter sends to the eye (march/matte.wgsl or glossy.wgsl), what the mode makes of two
-// neighbouring samples (the other march/*.wgsl), and what becomes of the steps:
+// Third, what matter sends to the eye (march/matte.wgsl or glossy.wgsl):
 //   fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f
+// Fourth, what the mode makes of two neighbouring samples (the other march/*.wgsl):
 //   fn take(between: Between) -> u32
-// hands what is visible between them to
+// It hands what is visible between them, front to back, to a part that says what becomes of the steps:
 //   fn sink_step(step: Step) -> u32
-// front to back, and both return how the march goes on (Pace): the lattice points to the next end of a step, 1 or STRIDE;
-// 0 for not at all; NO_STEP where there was nothing. In the end comes
+// Both return how the march goes on (Pace): the lattice points to the next end of a step, 1 or STRIDE; 0 for not at all;
+// NO_STEP where there was nothing. In the end comes
 //   fn end_march(lattice: Lattice)
 // Which bricks are of no use any more, beside those that are invisible, says
 //   fn is_beaten(brick: u32) -> bool

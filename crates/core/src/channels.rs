@@ -127,6 +127,18 @@ impl Channels {
         Ok(())
     }
 
+    /// Gives each of `num_channels` channels a look: one that has none gets that of `transfer`, hidden. Chooses one
+    /// that is there.
+    pub fn complete(&mut self, num_channels: usize, transfer: &TransferFunction) {
+        let num_others = num_channels.clamp(1, MAX_CHANNELS) - 1;
+        let visibility = Visibility { is_hidden: true, ..Visibility::default() };
+        let hidden = || ChannelLook { transfer: transfer.clone(), visibility: visibility.clone() };
+        if self.others.len() < num_others {
+            self.others.resize_with(num_others, hidden);
+        }
+        self.chosen = self.chosen.min(num_others as u8);
+    }
+
     /// The same to change it.
     pub fn visibility_mut(&mut self, channel: usize) -> Option<&mut Visibility> {
         match channel.checked_sub(1) {
@@ -178,6 +190,18 @@ mod tests {
             let first = Visibility { hidden_labels: labels, ..Visibility::default() };
             assert_eq!(Channels { first, ..good.clone() }.validate(20), Err(ChannelsError::Labels(0)));
         }
+    }
+
+    #[test]
+    fn channels_without_a_look_are_hidden_and_can_be_shown() {
+        let mut looks = Channels { others: vec![look("a")], chosen: 6, ..Channels::default() };
+        looks.complete(4, &look("b").transfer);
+        let names: Vec<_> =
+            looks.others.iter().map(|l| (&*l.transfer.name, l.visibility.is_hidden)).collect();
+        assert_eq!((names, looks.chosen), (vec![("a", false), ("b", true), ("b", true)], 3));
+        let before = looks.clone();
+        looks.complete(4, &look("c").transfer);
+        assert_eq!(looks, before);
     }
 
     #[test]

@@ -147,9 +147,9 @@ impl VoxelSink {
         true
     }
 
-    /// The voxels, and the map from their numbers to values. If the file `has_gaps`, voxels without a value become
-    /// zero or, if zero is no value of the others, the nearest one to it. Such voxels are not a number, infinite, or a marker such as −9999. Masks, statistical
-    /// maps and simulations have them outside of the measured part.
+    /// The voxels, and the map from their numbers to values. If the file `has_gaps`, voxels without a value are marked,
+    /// and get a finite number for now. Such voxels are not a number, infinite, or a marker such as −9999. Masks,
+    /// statistical maps and simulations have them outside of the measured part.
     pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
         let (mut warnings, mut gaps) = (Vec::new(), None);
         if let Voxels::F32(v) = &mut self.voxels

@@ -67,7 +67,7 @@ pub struct Outline {
     pub center: Option<[f64; 3]>,
     /// Directions of x, y and z in that world, if known.
     pub directions: Option<[[f64; 3]; 3]>,
-    /// Bytes that the volume takes in memory and on the GPU.
+    /// Bytes that the volume takes in memory and on the GPU. If voxels turn out to have no value, each takes one more.
     #[serde(skip)]
     pub bytes_in_memory: u64,
     /// Bytes that the voxels take during reading.

@@ -27,7 +27,8 @@ pub(crate) fn with_labels(
     let labels = open(source, &own)?;
     let path = Path::new(source);
     let bad = |problem: String| FormatError::Data { path: shown(path), problem };
-    let labels = on_grid(labels, &volume, options.selection.flip.0).map_err(bad)?;
+    let Selection { flip, region, .. } = options.selection;
+    let labels = on_grid(labels, &volume, flip.0, region.is_some()).map_err(bad)?;
     let mut others = volume.others().to_vec();
     others.push(Arc::new(labels));
     volume.with_others(others).map_err(|cause| FormatError::Volume { path: shown(path), cause })
@@ -58,7 +59,10 @@ fn of_labels<'a>(options: &OpenOptions<'a>, reading: &'a Reading) -> OpenOptions
 
 /// The labels at the voxels of `volume`, zero outside of their own grid. `flip` are the axes along which the volume is
 /// mirrored.
-fn on_grid(labels: Volume, volume: &Volume, flip: [bool; 3]) -> Result<Volume, String> {
+fn on_grid(labels: Volume, volume: &Volume, flip: [bool; 3], is_part: bool) -> Result<Volume, String> {
+    if is_part && flip.contains(&true) {
+        return Err("labels over a mirrored part of a volume, expected the whole volume or no --flip".into());
+    }
     let (mut first, mut columns) = match is_same_grid(&labels, volume) {
         true => (DVec3::ZERO, DVec3::AXES),
         false => index_map(&labels, volume)?,

@@ -413,7 +413,7 @@ pub(crate) fn read_volume(
         warnings.extend(other.info.warnings.iter().map(|text| format!("channel {name}: {text}")));
     }
     joint.info.warnings = warnings;
-    if joint.others().is_empty() && plan.num_joint == 1 {
+    if joint.others().is_empty() && (plan.num_joint == 1 || options.reading.voxels.is_some()) {
         let word = mark_labels(&mut joint, plan, options.reading.voxels, path)?;
         joint.info.warnings.extend(word.map(|word| word.text));
     }

@@ -3,8 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// The part of a file to read. The default is all channels that can be shown together or else the first, the first
-/// time, the finest level that fits into memory and the largest series, as a whole.
+/// The part of a file to read. The default is all channels that can be shown together, or else the first. It is the
+/// first time, the finest level that fits into memory and the largest series, as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Selection {
     /// Channel, component or array, from 0. `None` is all that can be shown together.

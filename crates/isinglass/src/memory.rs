@@ -6,8 +6,8 @@ use isinglass_client::format_bytes;
 /// The limit, and its default.
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct MemoryArgs {
-    /// Most memory for volumes, the shown one and those being read together, such as 12GB or 500MB; what it leaves is
-    /// for frames, 256 MiB to 4 GiB, and then for times read ahead [default: three quarters of the machine's]
+    /// Most memory for volumes, shown and being read, such as 12GB or 500MB. The rest is for frames, 256 MiB to 4 GiB,
+    /// and for times read ahead [default: three quarters of the machine's]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     max_memory: Option<u64>,
 }

@@ -57,8 +57,8 @@ impl ReadAhead {
         self.known.iter().map(Read::bytes).sum()
     }
 
-    /// Most memory for parts that are not shown, bytes: what the shown one, of `shown` bytes, and the frames leave of
-    /// the memory for volumes, or a quarter of that for frames if that is more.
+    /// Most memory for parts that are not shown, bytes. It is what the shown one, of `shown` bytes, and the frames leave.
+    /// It is at least a quarter of the memory for frames.
     pub(crate) fn limit(&self, shown: u64) -> u64 {
         self.spare(shown).max(self.frame_memory.limit() / 4)
     }

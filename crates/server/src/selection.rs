@@ -276,6 +276,7 @@ impl SelectionReader {
             None => None,
         };
         let failed = |problem: &str| Ended::Failed(problem.into());
+        let mut is_ahead = reading.is_some();
         loop {
             let begun = reading.take().or_else(|| self.begin(part, None));
             let Some(mut reading) = begun else { return Err(failed("there is no file to read")) };
@@ -288,8 +289,11 @@ impl SelectionReader {
             };
             match read {
                 Ok(Ok(read)) => return Ok(read),
-                // What was read ahead goes first.
-                Ok(Err(NotRead::NoRoom(_))) if self.ahead.bytes() > 0 => self.ahead.clear(),
+                // What was read ahead goes first, and the limit of reading ahead holds no longer.
+                Ok(Err(NotRead::NoRoom(_))) if self.ahead.bytes() > 0 || is_ahead => {
+                    is_ahead = false;
+                    self.ahead.clear();
+                }
                 Ok(Err(NotRead::NoRoom(problem) | NotRead::Failed(problem))) => {
                     return Err(failed(&problem));
                 }

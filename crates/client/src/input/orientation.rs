@@ -21,8 +21,8 @@ pub(crate) struct Orientation {
 }
 
 impl Orientation {
-    /// From letters such as `RAS`. Without those of a body the axes are x, y and z, with z towards the viewer and y
-    /// up; in an image, z runs back from the viewer and y down.
+    /// From letters such as `RAS`. Without those of a body the axes are x, y and z, with z towards the viewer and y up.
+    /// In an image, z runs back from the viewer and y down.
     pub(crate) fn of(letters: Option<&str>) -> Self {
         let upright = world_from_upright(letters.filter(|letters| *letters == IMAGE_AXES));
         letters.and_then(Self::of_patient).unwrap_or(Self {

@@ -13,6 +13,7 @@ use super::style::quiet;
 /// Shows a row for each channel, and changes the look. The name of a channel chooses it: the curve and the modes are
 /// those of the chosen one.
 pub(crate) fn show(ui: &mut Ui, channels: &[ChannelDescription], look: &mut Look) {
+    look.channels.complete(channels.len(), &look.transfer);
     for (number, channel) in channels.iter().enumerate() {
         let index = number as u8;
         ui.horizontal(|ui| {
@@ -124,11 +125,18 @@ fn known_labels(channel: &ChannelDescription) -> Vec<(u16, String)> {
         let named = channel.labels.iter().filter_map(|l| Some((is_node(l.value)?, l.name.clone())));
         return named.collect();
     }
-    let (lo, hi) = channel.histogram_range;
-    let is_exact = hi - lo + 1.0 <= channel.histogram.len() as f32;
-    let counted = channel.histogram.iter().enumerate().filter(|(_, count)| !is_exact || **count > 0);
-    let value = |bin: usize| if is_exact { lo + bin as f32 } else { bin as f32 };
-    let each = counted.filter_map(|(bin, _)| is_node(value(bin) as u32));
+    let ((lo, hi), num_bins) = (channel.histogram_range, channel.histogram.len());
+    let is_exact = hi - lo + 1.0 == num_bins as f32;
+    // Bins of floats have other borders by a rounding; where there are many more than values, the next ones count too.
+    let reach = usize::from(!is_exact && (hi - lo) * 4.0 < num_bins as f32);
+    let occurs = |value: f32| {
+        let share = if is_exact { value - lo } else { (value - lo) / (hi - lo) * num_bins as f32 };
+        let bin = (share as usize).min(num_bins.saturating_sub(1));
+        let bins = bin.saturating_sub(reach)..=(bin + reach).min(num_bins.saturating_sub(1));
+        channel.histogram.get(bins).is_some_and(|counts| counts.iter().any(|count| *count > 0))
+    };
+    let last = hi.clamp(0.0, f32::from(MOST_LABELS - 1)) as u32;
+    let each = (1..=last).filter(|value| *value as f32 >= lo && occurs(*value as f32)).filter_map(is_node);
     each.map(|label| (label, format!("label {label}"))).collect()
 }
 
@@ -209,5 +217,10 @@ mod tests {
         unnamed.labels.clear();
         let named: Vec<_> = known_labels(&unnamed);
         assert_eq!(named, [(2, "label 2".to_owned()), (3, "label 3".to_owned())]);
+        // Bins of floats are much narrower than one.
+        let mut counts = vec![0; 512];
+        (counts[0], counts[341], counts[511]) = (5, 2, 9);
+        unnamed.histogram = counts;
+        assert_eq!(known_labels(&unnamed), named);
     }
 }

@@ -46,8 +46,7 @@ pub(super) fn fill<T: Number>(voxels: &mut [T], gaps: &[u8], dims: [u32; 3]) -> 
     let known = voxels.par_iter().zip(gaps).filter(|(_, gap)| **gap == 0);
     let range = known.map(|(v, _)| ((*v).into(), (*v).into())).reduce(|| none, both);
     let around = |i: usize, n: usize| i.saturating_sub(1)..=(i + 1).min(n - 1);
-    let old = &*voxels;
-    let mean = |i: usize| {
+    let mean = |old: &[T], i: usize| {
         let (x, y, z) = (i % nx, i / nx % ny, i / nx / ny);
         let (mut sum, mut count) = (0.0, 0.0);
         for (z, y) in around(z, nz).flat_map(|z| around(y, ny).map(move |y| (z, y))) {
@@ -58,10 +57,12 @@ pub(super) fn fill<T: Number>(voxels: &mut [T], gaps: &[u8], dims: [u32; 3]) -> 
         }
         T::from_mean(if count > 0.0 { sum / count } else { range.0 })
     };
-    let filled: Vec<(usize, T)> =
-        gaps.par_iter().enumerate().filter(|(_, gap)| **gap != 0).map(|(i, _)| (i, mean(i))).collect();
-    for (i, value) in filled {
-        voxels[i] = value;
+    // Only voxels that stay are read, so one slice after the other can be replaced.
+    for first in (0..voxels.len()).step_by(nx * ny) {
+        let each = (first..first + nx * ny).into_par_iter();
+        let old = &*voxels;
+        let slice: Vec<T> = each.map(|i| if gaps[i] == 0 { old[i] } else { mean(old, i) }).collect();
+        voxels[first..][..nx * ny].copy_from_slice(&slice);
     }
     range
 }

@@ -75,7 +75,8 @@ pub struct VolumeInfo {
     pub value_unit: Option<String>,
     /// The values between which the file's author shows it, ascending, if known.
     pub window: Option<(f32, f32)>,
-    /// Whether each value is a label: a name for a kind of matter, not a quantity. Labels are never interpolated.
+    /// Whether each value is a label: a name for a kind of matter, not a quantity. The
+    /// composite mode interpolates none.
     pub are_labels: bool,
     /// What the labels mean, if the file says so.
     pub labels: Vec<VolumeLabel>,

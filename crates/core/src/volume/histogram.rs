@@ -1,5 +1,7 @@
 //! Histogram of the physical values, and the percentiles read from it.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::grid::{Volume, Voxels};
@@ -21,10 +23,9 @@ impl Histogram {
     /// The histogram of a volume in at most 65 536 bins: exact for 8- and 16-bit volumes. If a few distant floats
     /// would squeeze the others into a few bins, the bins cover only the others.
     pub fn of(volume: &Volume) -> Self {
-        let known = volume.gaps().map(|gaps| known(volume.voxels(), &gaps.bytes));
         let (stored_lo, stored_hi) = volume.stored_range();
         let mut range = (stored_lo, stored_hi);
-        let mut counts = match known.as_ref().unwrap_or(volume.voxels()) {
+        let mut counts = match volume.voxels() {
             Voxels::U8(v) => counted(v, stored_lo, stored_hi),
             Voxels::U16(v) => counted(v, stored_lo, stored_hi),
             Voxels::F32(v) => {
@@ -36,6 +37,19 @@ impl Histogram {
                 counts
             }
         };
+        if let Some(gaps) = volume.gaps() {
+            let of_part: &dyn Fn(Range<usize>) -> Vec<u64> = match volume.voxels() {
+                Voxels::U8(v) => &|part| counted(&known_in(v, &gaps.bytes, part), stored_lo, stored_hi),
+                Voxels::U16(v) => &|part| counted(&known_in(v, &gaps.bytes, part), stored_lo, stored_hi),
+                Voxels::F32(v) => &|part| in_bins(&known_in(v, &gaps.bytes, part), range),
+            };
+            let num = gaps.bytes.len();
+            counts.fill(0);
+            for first in (0..num).step_by(PARTS_WITH_GAPS) {
+                let part = of_part(first..(first + PARTS_WITH_GAPS).min(num));
+                counts.iter_mut().zip(part).for_each(|(sum, n)| *sum += n);
+            }
+        }
         let value = |stored: (f32, f32)| {
             let (a, b) = (volume.value_from_stored(stored.0), volume.value_from_stored(stored.1));
             (a.min(b), a.max(b), b < a)
@@ -88,16 +102,9 @@ impl Histogram {
     }
 }
 
-/// The voxels that are no gaps.
-fn known(voxels: &Voxels, gaps: &[u8]) -> Voxels {
-    fn of<T: Copy>(voxels: &[T], gaps: &[u8]) -> Vec<T> {
-        voxels.iter().zip(gaps).filter(|(_, gap)| **gap == 0).map(|(v, _)| *v).collect()
-    }
-    match voxels {
-        Voxels::U8(v) => Voxels::U8(of(v, gaps)),
-        Voxels::U16(v) => Voxels::U16(of(v, gaps)),
-        Voxels::F32(v) => Voxels::F32(of(v, gaps)),
-    }
+/// The voxels of a part that are no gaps.
+fn known_in<T: Copy>(voxels: &[T], gaps: &[u8], part: Range<usize>) -> Vec<T> {
+    voxels[part.clone()].iter().zip(&gaps[part]).filter(|(_, gap)| **gap == 0).map(|(v, _)| *v).collect()
 }
 
 fn counted<T: Copy + Sync + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
@@ -212,6 +219,9 @@ const PART: usize = 1 << 21;
 const TAIL: f64 = 1e-4;
 /// Gain in resolution that justifies skipping them.
 const FAR: usize = 16;
+
+/// Voxels that are counted at once where some of them are gaps.
+const PARTS_WITH_GAPS: usize = 1 << 24;
 
 #[cfg(test)]
 mod tests {

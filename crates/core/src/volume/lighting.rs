@@ -81,8 +81,8 @@ impl Lighting {
         Self { azimuth_degrees, elevation_degrees, ..self }
     }
 
-    /// The same light for a volume whose axes point to `letters`. An image is seen from its back, so its light comes
-    /// from there: half a turn about x. The light of a body is fixed to its axes.
+    /// The same light for a volume whose axes point to `letters`. The first slice of an image is nearest, so its light
+    /// comes from there: half a turn about x. The light of a body is fixed to its axes.
     pub fn upright(self, letters: Option<&str>) -> Self {
         if letters != Some(IMAGE_AXES) {
             return self;

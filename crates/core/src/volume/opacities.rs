@@ -21,6 +21,10 @@ pub fn opacity_volume(channels: &[(&Volume, &TransferTable)], blend: Blend) -> O
         for (code, sigma) in slice.iter_mut().zip(&sums) {
             *code = ((1.0 - (-sigma * side).exp()) * 255.0 + 0.5) as u8;
         }
+        if let Some(gaps) = first.gaps() {
+            let gaps = &gaps.bytes[z * nx * ny..];
+            slice.iter_mut().zip(gaps).filter(|(_, gap)| **gap != 0).for_each(|(code, _)| *code = 0);
+        }
     });
     Volume::new(first.dims(), first.spacing(), Voxels::U8(codes), (1.0, 0.0), Default::default()).ok()
 }

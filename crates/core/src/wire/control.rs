@@ -21,6 +21,7 @@ use crate::text;
 
 /// A message of the client. [`ClientMessage::Hello`] comes first and once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[expect(clippy::large_enum_variant, reason = "there are a few messages at a time, and none is kept")]
 pub enum ClientMessage {
     /// Requests admission.
     Hello {

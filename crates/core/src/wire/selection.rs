@@ -11,8 +11,8 @@ use crate::ids::LoadId;
 use crate::look::MAX_NAME_BYTES;
 use crate::text::printable;
 
-/// A part of a file. A field without a value stands for the default: all channels that can be shown together or else
-/// the first, the first time, the finest level that fits into memory, the largest series, all voxels.
+/// A part of a file. A field without a value stands for the default. It is all channels that can be shown together, or else
+/// the first; the first time; the finest level that fits into memory; the largest series; all voxels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Part {
     /// Channel, component or array, from 0.

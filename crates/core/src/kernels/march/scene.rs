@@ -46,7 +46,7 @@ pub struct Scene {
     pub channels: Arc<[ChannelFacts]>,
     /// What of the channels is shown.
     pub looks: Channels,
-    /// Of mixed channels, the opacity of each voxel, by which they are lit.
+    /// Of mixed channels that are lit, the opacity of each voxel, which stands for them.
     pub opacities: Option<Arc<Volume>>,
 }
 
@@ -171,9 +171,10 @@ impl Scene {
             }
             None => modes::occupancy(&bricks, settings.mode, &table, &surfaces),
         };
-        let opacities = match alike {
-            Some(alike) => alike.opacities.clone(),
-            None if is_mixed => {
+        let is_lit = settings.shading.is_some() || settings.lighting.is_on();
+        let opacities = match alike.and_then(|alike| alike.opacities.clone()) {
+            Some(opacities) => Some(opacities),
+            None if is_mixed && is_lit => {
                 let rest = others.iter().map(|o| (&*o.volume, &o.table));
                 let all: Vec<_> = std::iter::once((&*volume, &table)).chain(rest).collect();
                 opacity_volume(&all, looks.blend).map(Arc::new)
@@ -207,7 +208,7 @@ impl Scene {
 
     /// Whether the march mixes channels, or reads labels.
     pub fn is_mixed(&self) -> bool {
-        self.opacities.is_some()
+        self.settings.mode == Mode::Composite && (!self.others.is_empty() || self.table.are_labels)
     }
 
     /// The whole volume, whose first channel this is. `volume` is the channel that is marched first.
