@@ -1,4 +1,4 @@
-// Voxels with nothing in them (core::volume::Gaps): no step begins or ends there. BINDING stands for the number of theirs.
+// Voxels with nothing in them (core::volume::VoxelGaps): no step begins or ends there. BINDING stands for the number of theirs.
 
 @group(0) @binding(BINDING) var gaps: texture_3d<u32>;
 

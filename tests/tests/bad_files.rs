@@ -52,7 +52,7 @@ fn headers_that_are_wrong() {
         ("4 3 2", "4 -3 2", "expected positive whole numbers"),
         ("4 3 2", "4 3.5 2", "expected positive whole numbers"),
         ("4 3 2", "4 3 99999999999999999999", "expected positive whole numbers"),
-        ("4 3 2", "4 3 4294967298", "axis 2 has 4294967298 voxels, expected 1 to 2048"),
+        ("4 3 2", "4 3 4294967298", "axis 2 has 4294967298 voxels, expected 1 to 131072"),
         ("4 3 2", "2048 2048 2048", "needs 8589934592 bytes"),
         ("4 3 2", "4 3 3", "4×3×3 uint8 needs 36 bytes, found 24"),
         ("encoding: raw", "encoding: gzip\nspacings: 1 2", "field \"spacings\" has 2 entries, expected 3"),
@@ -176,14 +176,14 @@ fn voxels_that_are_not_finite() {
     for voxel in [2.0, -1e37] {
         open(file(voxel).to_str().unwrap(), &OpenOptions::default()).unwrap();
     }
-    // What was not measured is shown as the least of what was.
+    // What was not measured is nothing, and takes the number beside it.
     let volume = open(file(f32::NAN).to_str().unwrap(), &OpenOptions::default()).unwrap();
     assert_eq!((volume.value_range(), volume.voxels().get(17)), ((1.0, 1.0), 1.0));
-    assert_eq!(volume.info.warnings[1..], ["1 voxels are not a number and are shown as 1"]);
+    assert_eq!(volume.info.warnings[1..], ["1 voxels are not a number; nothing is shown there"]);
     for voxel in [f32::INFINITY, f32::NEG_INFINITY] {
         let volume = open(file(voxel).to_str().unwrap(), &OpenOptions::default()).unwrap();
         assert_eq!((volume.value_range(), volume.voxels().get(17)), ((1.0, 1.0), 1.0));
-        assert_eq!(volume.info.warnings[1..], ["1 voxels are infinite and are shown as 1"]);
+        assert_eq!(volume.info.warnings[1..], ["1 voxels are infinite; nothing is shown there"]);
     }
     for voxel in [f32::MAX, -1.1e37] {
         let message = refusal(&file(voxel), &OpenOptions::default());

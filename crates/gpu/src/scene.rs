@@ -8,7 +8,7 @@ use isinglass_core::kernels::march;
 use isinglass_core::kernels::march::modes::{Surface, key_limit};
 use isinglass_core::mode::MAX_ISOS;
 use isinglass_core::transfer::TransferTable;
-use isinglass_core::volume::{Gaps, Lit, Occupancy, Volume, Voxels};
+use isinglass_core::volume::{Lit, Occupancy, Volume, VoxelGaps, Voxels};
 
 use crate::device::{Gpu, bind, scene_layout};
 use crate::error::GpuError;
@@ -22,7 +22,7 @@ pub(crate) struct SceneOnGpu {
     uploaded: Vec<(Arc<Volume>, wgpu::Texture)>,
     lit: Option<Arc<Lit>>,
     shares: wgpu::Texture,
-    gaps: Option<(Arc<Gaps>, wgpu::Texture)>,
+    gaps: Option<(Arc<VoxelGaps>, wgpu::Texture)>,
     uniform: wgpu::Buffer,
     tables: wgpu::Buffer,
     occupancy: wgpu::Buffer,
@@ -83,7 +83,7 @@ impl SceneOnGpu {
             let num_uploaded = self.uploaded.len();
             self.uploaded.extend(upload_channels(gpu, scene, &self.uploaded)?);
             let gaps_of =
-                |gaps: &Option<(Arc<Gaps>, wgpu::Texture)>| gaps.as_ref().map(|g| Arc::as_ptr(&g.0));
+                |gaps: &Option<(Arc<VoxelGaps>, wgpu::Texture)>| gaps.as_ref().map(|g| Arc::as_ptr(&g.0));
             let is_gapped_alike = gaps_of(&self.gaps) == scene.volume.gaps().map(Arc::as_ptr);
             if !is_gapped_alike {
                 self.gaps = upload_gaps(gpu, scene)?;
@@ -155,7 +155,7 @@ fn bind_scene(
     scene: &march::Scene,
     [uniform, tables, occupancy]: [&wgpu::Buffer; 3],
     uploaded: &[(Arc<Volume>, wgpu::Texture)],
-    (shares, gaps): (&wgpu::Texture, &Option<(Arc<Gaps>, wgpu::Texture)>),
+    (shares, gaps): (&wgpu::Texture, &Option<(Arc<VoxelGaps>, wgpu::Texture)>),
 ) -> wgpu::BindGroup {
     let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
     let texture = |volume| uploaded.iter().find(|(known, _)| Arc::ptr_eq(known, volume));
@@ -211,7 +211,7 @@ fn upload_volume(gpu: &Gpu, volume: &Volume) -> Result<wgpu::Texture, GpuError> 
 }
 
 /// Uploads which voxels of the first channel have nothing in them, if there are any.
-fn upload_gaps(gpu: &Gpu, scene: &march::Scene) -> Result<Option<(Arc<Gaps>, wgpu::Texture)>, GpuError> {
+fn upload_gaps(gpu: &Gpu, scene: &march::Scene) -> Result<Option<(Arc<VoxelGaps>, wgpu::Texture)>, GpuError> {
     let Some(gaps) = scene.volume.gaps() else { return Ok(None) };
     let dims = scene.volume.dims();
     let texture = upload_texture(gpu, dims, wgpu::TextureFormat::R8Uint, &gaps.bytes, None)?;

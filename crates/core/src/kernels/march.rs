@@ -29,7 +29,7 @@ pub use self::grid::Texels;
 use self::grid::{Grid, LANES, Lanes, mix};
 use self::mixed::{MIXED, MixedChannel};
 use self::modes::{Collected, SURFACES, SamplePair};
-pub use self::scene::{ChannelFacts, Medium, Scene};
+pub use self::scene::{ChannelFacts, MarchedChannel, Scene};
 use self::skipper::{Skipper, VisibleBins};
 use self::surfaces::Thicken;
 use crate::camera::Camera;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 /// Which voxels are gaps.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Gaps {
+pub struct VoxelGaps {
     /// 0 for a voxel with a value, one byte each, x fastest.
     pub bytes: Vec<u8>,
     /// Voxels without a value.

@@ -6,7 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::gaps::{self, Gaps};
+use super::gaps::{self, VoxelGaps};
 pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
@@ -139,7 +139,7 @@ pub struct Volume {
     stored_range: (f32, f32),
     /// See [`Volume::others`].
     others: Vec<Arc<Volume>>,
-    gaps: Option<Arc<Gaps>>,
+    gaps: Option<Arc<VoxelGaps>>,
     /// Name, type and remarks.
     pub info: VolumeInfo,
 }
@@ -259,12 +259,12 @@ impl Volume {
             Voxels::U16(v) => self.stored_range = gaps::fill(v, &bytes, self.dims),
             Voxels::F32(v) => self.stored_range = gaps::fill(v, &bytes, self.dims),
         }
-        self.gaps = Some(Arc::new(Gaps { bytes, num_gaps: num_gaps as u64 }));
+        self.gaps = Some(Arc::new(VoxelGaps { bytes, num_gaps: num_gaps as u64 }));
         self
     }
 
     /// The voxels with nothing in them, if there are any.
-    pub fn gaps(&self) -> Option<&Arc<Gaps>> {
+    pub fn gaps(&self) -> Option<&Arc<VoxelGaps>> {
         self.gaps.as_ref()
     }
 

@@ -19,7 +19,7 @@ mod slice;
 
 pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
 pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
-pub use gaps::Gaps;
+pub use gaps::VoxelGaps;
 pub use grid::{ChannelInfo, MAX_CHANNELS, Placement, Volume, VolumeError, VolumeInfo, VolumeLabel, Voxels};
 pub use histogram::{Histogram, parting_value};
 pub use illumination::{Illumination, Occlusion};

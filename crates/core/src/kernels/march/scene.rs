@@ -29,7 +29,7 @@ pub struct Scene {
     /// mean that times the [`exposure`](TransferFunction::exposure).
     pub table: TransferTable,
     /// The channels that are marched together with `volume`.
-    pub others: Vec<Medium>,
+    pub others: Vec<MarchedChannel>,
     /// How their matter counts together.
     pub blend: Blend,
     /// The surfaces of [`Mode::Iso`], by ascending position.
@@ -52,7 +52,7 @@ pub struct Scene {
 
 /// A channel that is marched beside the first.
 #[derive(Clone, Debug)]
-pub struct Medium {
+pub struct MarchedChannel {
     /// The channel, from 0.
     pub channel: usize,
     /// The voxels.
@@ -151,9 +151,9 @@ impl Scene {
         let others = marched.iter().skip(1).filter_map(|&channel| {
             let facts = &channels[channel];
             let table = facts.table(transfer_of(channel), looks.visibility(channel)?);
-            Some(Medium { channel, volume: facts.volume.clone(), table })
+            Some(MarchedChannel { channel, volume: facts.volume.clone(), table })
         });
-        let others: Vec<Medium> = others.collect();
+        let others: Vec<MarchedChannel> = others.collect();
         // Dragging a clip or a light changes neither the visible bricks nor what is lit.
         let alike = before.map(|(scene, _)| scene).filter(|scene| {
             (scene.settings.mode, &scene.table, &scene.surfaces, scene.blend)
@@ -251,7 +251,7 @@ impl Scene {
 }
 
 /// The channels of media with their tables.
-fn tables(media: &[Medium]) -> impl Iterator<Item = (usize, &TransferTable)> {
+fn tables(media: &[MarchedChannel]) -> impl Iterator<Item = (usize, &TransferTable)> {
     media.iter().map(|medium| (medium.channel, &medium.table))
 }
 
