@@ -248,10 +248,7 @@ impl DelayControl {
             }
             other.window = other.window.clamp(FEWEST_PACKETS * self.mtu, MAX_WINDOW);
         } else if queue > 1.5 * QUEUE_MICROS || round.is_marked {
-            let share = ((least + QUEUE_MICROS) / (least + queue)).clamp(0.7, 0.95);
-            // A short queue that stays although this side has made room is that of many others, who have their share.
-            let floor = if queue < 2.0 * QUEUE_MICROS { CAUTION_BESIDE_OTHERS } else { LEAST_CAUTION };
-            self.caution = (self.caution * share).max(floor.min(self.caution));
+            self.caution *= ((least + QUEUE_MICROS) / (least + queue)).clamp(0.7, 0.95);
         } else if is_lossy {
             self.caution *= 0.85;
         } else {
@@ -460,7 +457,6 @@ const QUEUE_MICROS: f64 = 15e3;
 /// Loss that no queue explains is borne up to this share.
 const MAX_LOSS: f64 = 0.1;
 const LEAST_CAUTION: f64 = 0.3;
-const CAUTION_BESIDE_OTHERS: f64 = 0.7;
 /// A delay that comes within one round trip and may be a longer path's.
 const SUDDEN_MICROS: f64 = 4.0 * QUEUE_MICROS;
 /// How long a queue must stay, or be gone, until another flow is held responsible.

@@ -57,23 +57,6 @@ fn a_full_link_has_a_short_queue_and_its_rate_is_known() {
 }
 
 #[test]
-fn a_short_queue_of_others_takes_no_more_than_a_part() {
-    let share_beside = |queue: f64| {
-        let mut link = Bottleneck { rate: 2.5, least: 40e3, free_at: 0.0, in_flight: VecDeque::new() };
-        let mut control = DelayControl::new(0.0, MTU, 38_400.0);
-        link.run(&mut control, 0.0, 2e6);
-        let alone = control.bytes_per_second().unwrap_or(0.0);
-        link.least += queue;
-        link.run(&mut control, 2e6, 3e6);
-        control.bytes_per_second().unwrap_or(0.0) / alone
-    };
-    let beside = share_beside(1.7 * QUEUE_MICROS);
-    assert!((0.65..0.8).contains(&beside), "{beside}");
-    // The control: nothing is given up beside a queue that is no longer than this side's own.
-    assert!(share_beside(0.7 * QUEUE_MICROS) > 0.9);
-}
-
-#[test]
 fn single_losses_change_nothing_and_a_broken_link_does() {
     let mut link = Bottleneck { rate: 2.5, least: 40e3, free_at: 0.0, in_flight: VecDeque::new() };
     let mut control = DelayControl::new(0.0, MTU, 38_400.0);
