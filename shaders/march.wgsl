@@ -151,7 +151,7 @@ fn march(ray: Ray, lattice: Lattice) {
     let s0 = lattice.s0;
     let h = lattice.h;
     let n = lattice.n;
-    let origin = ray.origin * scene.voxel_from_world + scene.half_dims;
+    let origin = ray.origin * scene.voxel_from_world + scene.voxel_origin;
     let dir = safe_dir(ray.dir) * scene.voxel_from_world;
     let skipper = skipper_new(origin, dir, lattice);
     var i = 0u;

@@ -4,7 +4,7 @@
 fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f {
     let brightness = shade(p);
     let v = scene.voxel_from_world;
-    let slope = slope_at(p) * (0.5 * scene.x_scale);
+    let slope = slope_at(p) * (scene.steepness * (0.5 * scene.x_scale));
     let per_voxel = clamp(slope, vec3f(-GRADIENT_MAX), vec3f(GRADIENT_MAX));
     let square = dot(per_voxel, per_voxel);
     let weight = square / max(square + scene.half_gradient * scene.half_gradient, LEAST_SQUARE);

@@ -28,7 +28,8 @@ struct Scene {
     voxel_from_world: vec3f,
     // Greatest step along the shortest side of voxels, world units.
     step_length: f32,
-    half_dims: vec3f,
+    // The world's origin in voxel space.
+    voxel_origin: vec3f,
     // Whether there is any shading.
     shaded: u32,
     dims: vec3i,
@@ -45,6 +46,9 @@ struct Scene {
     half_gradient: f32,
     open_ambient: f32,
     open_diffuse: f32,
+    // Factors from differences of voxels to those of the finest level.
+    steepness: vec3f,
+    padding: u32,
 }
 
 // core::transfer::TransferTable, and more facts about values for a march (core::kernels::march::modes).

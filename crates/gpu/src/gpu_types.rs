@@ -61,7 +61,7 @@ pub(crate) struct Scene {
     pub(crate) x_offset: f32,
     pub(crate) voxel_from_world: [f32; 3],
     pub(crate) step_length: f32,
-    pub(crate) half_dims: [f32; 3],
+    pub(crate) voxel_origin: [f32; 3],
     pub(crate) shaded: u32,
     pub(crate) dims: [i32; 3],
     pub(crate) ambient: f32,
@@ -75,6 +75,8 @@ pub(crate) struct Scene {
     pub(crate) half_gradient: f32,
     pub(crate) open_ambient: f32,
     pub(crate) open_diffuse: f32,
+    pub(crate) steepness: [f32; 3],
+    pub(crate) padding: u32,
 }
 
 impl Scene {
@@ -92,7 +94,7 @@ impl Scene {
             x_offset: scene.table.x_offset,
             voxel_from_world: volume.spacing().recip().into(),
             step_length: scene.settings.step_in_voxels * volume.spacing().min_element(),
-            half_dims: (volume.dims_f32() * 0.5).into(),
+            voxel_origin: volume.voxel_origin().into(),
             shaded: lit.is_some().into(),
             dims: volume.dims().map(|d| d as i32),
             ambient: lit.map_or(1.0, |lit| lit.ambient),
@@ -106,6 +108,8 @@ impl Scene {
             half_gradient: highlight.map_or(0.0, |h| h.half_gradient),
             open_ambient,
             open_diffuse,
+            steepness: volume.steepness().into(),
+            padding: 0,
         }
     }
 }

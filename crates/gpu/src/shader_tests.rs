@@ -51,7 +51,7 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             x_offset,
             voxel_from_world,
             step_length,
-            half_dims,
+            voxel_origin,
             shaded,
             dims,
             ambient,
@@ -64,7 +64,9 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             shininess,
             half_gradient,
             open_ambient,
-            open_diffuse
+            open_diffuse,
+            steepness,
+            padding
         }),
         layout!(Band { first_row, num_rows, first_pixel, num_pixels }),
         layout!(Raycaster {

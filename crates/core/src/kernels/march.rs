@@ -173,7 +173,7 @@ pub struct Marcher<'a, T> {
     /// See [`modes::key_limit`].
     pub(crate) key_limit: f32,
     voxel_from_world: Vec3,
-    half_dims: Vec3,
+    voxel_origin: Vec3,
     max_brick: Vec3,
     has_avx2: bool,
 }
@@ -194,7 +194,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
             visible_bins: VisibleBins::of(&scene.table),
             key_limit: modes::key_limit(scene.settings.mode, &scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
-            half_dims: scene.volume.dims_f32() * 0.5,
+            voxel_origin: scene.volume.voxel_origin(),
             max_brick: Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
             has_avx2: has_avx2(),
         }
@@ -252,7 +252,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
             return self.march_channels(ray, lattice, sink);
         }
         let Lattice { s0, h, n, .. } = lattice;
-        let origin = ray.origin * self.voxel_from_world + self.half_dims;
+        let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
         let voxel_ray =
             VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, self.highlight.as_ref());
         let dir = voxel_ray.dir;

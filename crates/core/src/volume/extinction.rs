@@ -82,20 +82,24 @@ impl Extinction {
         }
         let bounds = volume.bounds();
         if region.bounds != bounds || region.normal != Vec3::ZERO || region.offset > 0.0 {
-            found.cut(&bounds, region);
+            let grid = Aabb {
+                min: volume.world_from_voxel(Vec3::ZERO),
+                max: volume.world_from_voxel(volume.dims_f32()),
+            };
+            found.cut(&grid, region);
         }
         found
     }
 
     /// Removes matter outside a region; border cells lose a share.
-    fn cut(&mut self, volume: &Aabb, region: &Region) {
+    fn cut(&mut self, grid: &Aabb, region: &Region) {
         let [cx, cy, _] = self.dims;
-        let (cell, first) = (self.cell, volume.min);
+        let (cell, first) = (self.cell, grid.min);
         self.sigma.par_iter_mut().enumerate().for_each(|(i, sigma)| {
             let corner = Vec3::new((i % cx) as f32, (i / cx % cy) as f32, (i / cx / cy) as f32);
             let low = first + corner * cell;
-            // Only the part of a cell inside the volume holds anything.
-            let inside = (low + cell).min(volume.max) - low;
+            // Only the part of a cell inside the grid holds anything.
+            let inside = (low + cell).min(grid.max) - low;
             let overlap = (region.bounds.max.min(low + inside) - region.bounds.min.max(low)).max(Vec3::ZERO);
             let in_box = (overlap / inside).to_array().iter().product::<f32>();
             let distance = region.normal.dot(low + 0.5 * inside) - region.offset;

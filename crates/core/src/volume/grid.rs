@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::gaps::{self, VoxelGaps};
+use super::pyramid::Finest;
 pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
@@ -140,6 +141,8 @@ pub struct Volume {
     /// See [`Volume::others`].
     others: Vec<Arc<Volume>>,
     gaps: Option<Arc<VoxelGaps>>,
+    /// See [`Volume::with_finest`].
+    finest: Option<Arc<Finest>>,
     /// Name, type and remarks.
     pub info: VolumeInfo,
 }
@@ -243,8 +246,19 @@ impl Volume {
                 offset: value_offset,
             });
         }
-        let (others, gaps) = (Vec::new(), None);
-        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, others, gaps, info })
+        let (others, gaps, finest) = (Vec::new(), None, None);
+        Ok(Self {
+            dims,
+            spacing,
+            voxels,
+            value_scale,
+            value_offset,
+            stored_range,
+            others,
+            gaps,
+            finest,
+            info,
+        })
     }
 
     /// The volume with nothing in the voxels whose byte is not 0, one for each voxel, x fastest. They are neither
@@ -266,6 +280,26 @@ impl Volume {
     /// The voxels with nothing in them, if there are any.
     pub fn gaps(&self) -> Option<&Arc<VoxelGaps>> {
         self.gaps.as_ref()
+    }
+
+    /// The volume as a level of a pyramid: it lies in the box of the finest level and looks as that does. Each channel
+    /// has its own.
+    pub fn with_finest(mut self, finest: Finest) -> Self {
+        if let Some((lo, hi)) = finest.stored_range.filter(|(lo, hi)| self.is_fit(*lo) && self.is_fit(*hi)) {
+            // A writer's mean may lie a rounding beyond.
+            self.stored_range = (self.stored_range.0.min(lo), self.stored_range.1.max(hi));
+        }
+        self.finest = Some(Arc::new(finest));
+        self
+    }
+
+    /// The finest level of the pyramid that the volume is a level of.
+    pub fn finest(&self) -> Option<&Arc<Finest>> {
+        self.finest.as_ref()
+    }
+
+    fn is_fit(&self, stored: f32) -> bool {
+        self.value_from_stored(stored).abs() <= Self::MAX_MAGNITUDE
     }
 
     /// This volume as the first channel, shown together with `others` on the same grid.
@@ -301,9 +335,20 @@ impl Volume {
         self.spacing
     }
 
-    /// The side of a cube as large as a voxel, world units.
+    /// Distance between voxel centres of the finest level, world units.
+    pub fn finest_spacing(&self) -> Vec3 {
+        self.finest.as_ref().map_or(self.spacing, |finest| finest.spacing)
+    }
+
+    /// Voxels of this level for one of the finest level, along x, y, z. Differences of voxels times this are those of
+    /// the finest level.
+    pub fn steepness(&self) -> Vec3 {
+        self.finest.as_ref().map_or(Vec3::ONE, |finest| finest.spacing / self.spacing)
+    }
+
+    /// The side of a cube as large as a voxel of the finest level, world units.
     pub fn voxel_side(&self) -> f32 {
-        self.spacing.to_array().iter().product::<f32>().cbrt()
+        self.finest_spacing().to_array().iter().product::<f32>().cbrt()
     }
 
     /// The voxels as stored.
@@ -311,10 +356,27 @@ impl Volume {
         &self.voxels
     }
 
-    /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres).
+    /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres). A level of a
+    /// pyramid has the box of the finest level.
     pub fn bounds(&self) -> Aabb {
-        let half = self.dims_f32() * self.spacing * 0.5;
+        let (dims, spacing) = match &self.finest {
+            Some(finest) => (Vec3::from_array(finest.dims.map(|d| d as f32)), finest.spacing),
+            None => (self.dims_f32(), self.spacing),
+        };
+        let half = dims * spacing * 0.5;
         Aabb { min: -half, max: half }
+    }
+
+    /// The world's origin in voxel space: voxel space is world space / spacing + this.
+    pub fn voxel_origin(&self) -> Vec3 {
+        let Some(finest) = &self.finest else { return self.dims_f32() * 0.5 };
+        let middle = Vec3::from_array(finest.dims.map(|d| d as f32)) * 0.5 - 0.5;
+        (middle - finest.first) * self.steepness() + 0.5
+    }
+
+    /// A point of voxel space in world space.
+    pub fn world_from_voxel(&self, point: Vec3) -> Vec3 {
+        (point - self.voxel_origin()) * self.spacing
     }
 
     /// The dimensions as floats.

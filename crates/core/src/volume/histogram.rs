@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::grid::{Volume, Voxels};
 
 /// Counts of voxels in equal bins, usually between the least and the greatest value.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Histogram {
     /// Value at the left edge of the first bin, which also counts lesser values.
     pub lo: f32,
@@ -21,8 +21,12 @@ pub struct Histogram {
 
 impl Histogram {
     /// The histogram of a volume in at most 65 536 bins: exact for 8- and 16-bit volumes. If a few distant floats
-    /// would squeeze the others into a few bins, the bins cover only the others.
+    /// would squeeze the others into a few bins, the bins cover only the others. A level of a pyramid has the finest
+    /// level's, if that is known.
     pub fn of(volume: &Volume) -> Self {
+        if let Some(known) = volume.finest().and_then(|finest| finest.histogram.as_ref()) {
+            return (**known).clone();
+        }
         let (stored_lo, stored_hi) = volume.stored_range();
         let mut range = (stored_lo, stored_hi);
         let mut counts = match volume.voxels() {

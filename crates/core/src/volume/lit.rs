@@ -65,7 +65,7 @@ fn light<T: Copy + Into<f32> + Sync>(
     let [nx, ny, nz] = volume.dims().map(|d| d as usize);
     // Only the direction matters; this scale keeps squares from overflowing.
     let voxel_from_world = volume.spacing().min_element() / volume.spacing();
-    let half_scale = 0.5 * x_scale;
+    let half_scale = volume.steepness() * (0.5 * x_scale);
     let half_squared = shading.half_gradient * shading.half_gradient;
     let mut shares = vec![0u8; voxels.len()];
     shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {

@@ -14,6 +14,7 @@ mod lighting;
 mod lit;
 mod opacities;
 pub mod procedural;
+mod pyramid;
 mod shade;
 mod slice;
 
@@ -29,4 +30,8 @@ pub use lighting::{
 };
 pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use opacities::{opacity_table, opacity_volume};
+pub use pyramid::{
+    Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageSource, PageVoxels, Pyramid,
+    PyramidLevel, VoxelKind,
+};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::grid::{Volume, Voxels};
 use crate::cancel::Wanted;
-use crate::space::{Aabb, MAX_COORDINATE};
+use crate::space::MAX_COORDINATE;
 
 /// What a slab shows of the values across it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -266,7 +266,7 @@ fn values<T: Copy + Into<f64> + Sync>(
                     let mut num = 0;
                     for n in 0..layers {
                         let point = middle + normal * aside(n);
-                        if let Some(stored) = trilinear(voxels, dims, spacing, &bounds, point) {
+                        if let Some(stored) = trilinear(volume, voxels, point) {
                             add(value, stored, num, spec.mode);
                             num += 1;
                         }
@@ -300,19 +300,14 @@ fn end(row: &mut [f64], num: usize, mode: SlabMode) {
 }
 
 /// The stored number between voxel centres; beyond the outermost centres that of the nearest. None outside the volume.
-fn trilinear<T: Copy + Into<f64>>(
-    voxels: &[T],
-    dims: [u32; 3],
-    spacing: Vec3,
-    bounds: &Aabb,
-    point: Vec3,
-) -> Option<f64> {
+fn trilinear<T: Copy + Into<f64>>(volume: &Volume, voxels: &[T], point: Vec3) -> Option<f64> {
+    let (dims, spacing, bounds) = (volume.dims(), volume.spacing(), volume.bounds());
     // A point on a face may be rounded to the outside.
     let slack = spacing * 1e-3;
     if !(point.cmpge(bounds.min - slack).all() && point.cmple(bounds.max + slack).all()) {
         return None;
     }
-    let at = (point - bounds.min) / spacing - 0.5;
+    let at = point / spacing + volume.voxel_origin() - 0.5;
     let mut low = [0usize; 3];
     let mut high = [0usize; 3];
     let mut share = [0f64; 3];
@@ -334,11 +329,10 @@ fn trilinear<T: Copy + Into<f64>>(
 impl Volume {
     /// The value at a point of world space, mixed from the eight voxels around it; none outside the volume.
     pub fn value_between(&self, point: Vec3) -> Option<f32> {
-        let (dims, spacing, bounds) = (self.dims(), self.spacing(), self.bounds());
         let stored = match self.voxels() {
-            Voxels::U8(v) => trilinear(v, dims, spacing, &bounds, point),
-            Voxels::U16(v) => trilinear(v, dims, spacing, &bounds, point),
-            Voxels::F32(v) => trilinear(v, dims, spacing, &bounds, point),
+            Voxels::U8(v) => trilinear(self, v, point),
+            Voxels::U16(v) => trilinear(self, v, point),
+            Voxels::F32(v) => trilinear(self, v, point),
         }?;
         Some(self.value_from_stored(stored as f32))
     }

@@ -47,7 +47,7 @@ impl ProbeRequest {
         let (bounds, point) = (volume.bounds(), Vec3::from_array(self.point));
         let is_inside = point.cmpge(bounds.min).all() && point.cmple(bounds.max).all();
         let voxel = is_inside.then(|| {
-            let at = (point - bounds.min) / volume.spacing();
+            let at = point / volume.spacing() + volume.voxel_origin();
             let dims = volume.dims();
             let index = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
             let [x, y, z] = index.map(|i| i as i32);

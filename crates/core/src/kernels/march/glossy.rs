@@ -167,7 +167,7 @@ impl<T: Texels> Marcher<'_, T> {
     /// faces the half-way directions.
     #[inline(always)]
     fn facing(&self, h: &Highlight, ray: &VoxelRay, slope: Vec3, brightness: f32) -> (f32, [f32; 2]) {
-        let per_voxel = (slope * (0.5 * self.scene.table.x_scale))
+        let per_voxel = (slope * (self.scene.volume.steepness() * (0.5 * self.scene.table.x_scale)))
             .clamp(Vec3::splat(-GRADIENT_MAX), Vec3::splat(GRADIENT_MAX));
         let square = per_voxel.length_squared();
         let weight = square / (square + h.half_gradient * h.half_gradient).max(LEAST_SQUARE);

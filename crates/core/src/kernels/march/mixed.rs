@@ -121,7 +121,7 @@ impl<T: Texels> Marcher<'_, T> {
     #[inline(always)]
     pub(super) fn march_channels(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let Lattice { s0, h, n, .. } = lattice;
-        let origin = ray.origin * self.voxel_from_world + self.half_dims;
+        let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
         let voxel_ray = VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, None);
         let dir = voxel_ray.dir;
         let skipper = Skipper::new(self, origin, dir, lattice);

@@ -73,7 +73,8 @@ impl Body {
 /// The fraction of the visible region's faces where stored numbers are at least `stored`. At most [`FACE_SAMPLES`]
 /// voxels per side of a face count, which is fast enough for a draft. A voxel is visible if its centre is.
 fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
-    let (last, spacing, first) = (volume.dims().map(|d| d as i32 - 1), volume.spacing(), volume.bounds().min);
+    let (last, spacing) = (volume.dims().map(|d| d as i32 - 1), volume.spacing());
+    let first = volume.world_from_voxel(glam::Vec3::ZERO);
     // The centre of voxel i is at i.
     let in_voxels = |axis: usize, world: f32| (world - first[axis]) / spacing[axis] - 0.5;
     let range = [0, 1, 2].map(|axis| {
