@@ -8,10 +8,12 @@
 //! ([`crate::transfer`]). So the step length changes neither opacity nor the visible features. The march skips steps
 //! between lattice points within one invisible brick. The lattice stays, so the picture is the same without skipping.
 
+mod field;
 mod glossy;
 mod grid;
 mod mixed;
 pub mod modes;
+mod pages;
 mod scene;
 mod skipper;
 mod surfaces;
@@ -23,12 +25,14 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use self::field::{Field, Fields, Run};
 pub use self::glossy::Highlight;
 use self::glossy::{LightLanes, VoxelRay};
-pub use self::grid::Texels;
-use self::grid::{Grid, LANES, Lanes, mix};
+use self::grid::{LANES, Lanes, mix};
+pub use self::grid::{Texels, TexelsOf};
 use self::mixed::{MIXED, MixedChannel};
 use self::modes::{Collected, SURFACES, SamplePair};
+pub use self::pages::{PageLook, ScenePages};
 pub use self::scene::{ChannelFacts, MarchedChannel, Scene};
 use self::skipper::{Skipper, VisibleBins};
 use self::surfaces::Thicken;
@@ -41,7 +45,7 @@ use crate::simd::has_avx2;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferTable};
 pub use crate::volume::Shading;
-use crate::volume::{Detail, Lighting, Lit};
+use crate::volume::{Detail, Lighting};
 
 /// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -162,44 +166,73 @@ pub use with_texels;
 /// A scene with typed voxels and everything that is constant over all rays.
 pub struct Marcher<'a, T> {
     scene: &'a Scene,
-    voxels: Grid<T>,
-    lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
+    fields: Fields<'a, T>,
     highlight: Option<Highlight>,
     /// All visible channels, if the march mixes them.
     channels: Vec<MixedChannel<'a>>,
-    /// Voxels with nothing in them.
-    gaps: Option<Grid<&'a [u8]>>,
     visible_bins: VisibleBins,
     /// See [`modes::key_limit`].
     pub(crate) key_limit: f32,
     voxel_from_world: Vec3,
     voxel_origin: Vec3,
-    max_brick: Vec3,
+    /// The inverse spacing of the finest level, relative to its greatest.
+    finest_from_world: Vec3,
     has_avx2: bool,
 }
 
-impl<'a, T: Texels> Marcher<'a, T> {
+/// Where a march is on its ray.
+struct Walk {
+    /// The next lattice point.
+    i: u32,
+    /// 1, or [`STRIDE`].
+    stride: u32,
+    /// Domain position of the last sample, if that was lattice point i.
+    x_front: Option<f32>,
+    has_stopped: bool,
+}
+
+impl Walk {
+    /// Obeys a sink after a step that ends at the point `next`. Whether the run ends, because the march stops or has
+    /// another stride.
+    #[inline(always)]
+    fn turns(&mut self, advance: Advance, next: u32, limit: u32) -> bool {
+        let stride = match advance {
+            Advance::Stop => {
+                (self.has_stopped, self.i) = (true, u32::MAX);
+                return true;
+            }
+            Advance::Step => 1,
+            Advance::Stride => STRIDE,
+        };
+        if stride == self.stride {
+            return false;
+        }
+        (self.stride, self.i) = (stride, next.min(limit));
+        true
+    }
+}
+
+impl<'a, T: TexelsOf<'a>> Marcher<'a, T> {
     /// `texels` are the voxels of `scene`.
     pub fn new(scene: &'a Scene, texels: T) -> Self {
-        let dims = scene.volume.dims();
-        let [bx, by, bz] = scene.occupancy.dims;
-        let lit = scene.illumination.lit();
+        let finest_from_world = scene.volume.finest_spacing().recip();
+        let (spacing, voxel_origin) = scene.voxel_space();
         Self {
             scene,
-            voxels: Grid::new(texels, dims),
-            lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims), &**lit)),
+            fields: Fields::of(scene, texels),
             highlight: scene.highlight(),
             channels: MixedChannel::all(scene),
-            gaps: scene.volume.gaps().map(|gaps| Grid::new(&gaps.bytes[..], dims)),
             visible_bins: VisibleBins::of(&scene.table),
             key_limit: modes::key_limit(scene.settings.mode, &scene.table),
-            voxel_from_world: scene.volume.spacing().recip(),
-            voxel_origin: scene.volume.voxel_origin(),
-            max_brick: Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
+            voxel_from_world: spacing.recip(),
+            voxel_origin,
+            finest_from_world: finest_from_world / finest_from_world.max_element(),
             has_avx2: has_avx2(),
         }
     }
+}
 
+impl<T: Texels> Marcher<'_, T> {
     /// Marches the lattice of one ray in a mode that composites with *over*, until the sink stops it. Surfaces have
     /// thickness, see `surfaces`.
     pub fn march(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
@@ -209,7 +242,7 @@ impl<'a, T: Texels> Marcher<'a, T> {
         if self.scene.settings.mode != Mode::Iso {
             return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);
         }
-        let voxel = self.scene.volume.spacing().min_element();
+        let voxel = self.scene.voxel_space().0.min_element();
         let mut thicken = Thicken::new(sink, lattice, voxel, self.scene.has_lesser_bodies);
         self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut thicken);
         thicken.finish();
@@ -244,57 +277,81 @@ impl<'a, T: Texels> Marcher<'a, T> {
         self.march_lanes::<MODE>(ray, lattice, sink);
     }
 
+    /// Marches one field after another: the whole volume, or the pages on the ray's way.
+    #[inline(always)]
+    fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
+        let ray = VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, self.highlight.as_ref());
+        let mut walk = Walk { i: 0, stride: 1, x_front: None, has_stopped: false };
+        let mut i = 0;
+        while let Some((field, run)) = self.fields.run(&ray, lattice, &mut i, walk.stride) {
+            if i != walk.i {
+                (walk.i, walk.x_front) = (i, None);
+            }
+            let local = field.ray(&ray);
+            if MODE == MIXED {
+                self.march_channels((field, &local), lattice, run, &mut walk, sink);
+            } else {
+                self.march_field::<MODE>((field, &local), lattice, run, &mut walk, sink);
+            }
+            if walk.has_stopped {
+                return;
+            }
+            if run.limit < lattice.n {
+                // Another level has other values at the same point.
+                walk.x_front = None;
+            }
+            i = walk.i;
+        }
+    }
+
     /// The shader takes step after step. Here [`LANES`] steps are sampled at once and then taken in order, even if
     /// the last are not needed.
     #[inline(always)]
-    fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
-        if MODE == MIXED {
-            return self.march_channels(ray, lattice, sink);
-        }
-        let Lattice { s0, h, n, .. } = lattice;
-        let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
-        let voxel_ray =
-            VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, self.highlight.as_ref());
-        let dir = voxel_ray.dir;
-        let skipper = Skipper::new(self, origin, dir, lattice);
-        let mut i = 0;
-        let mut stride = 1;
-        // Domain position of the last sample, if that was lattice point i.
-        let mut x_front = None;
-        'batch: while i < n {
-            let visible = skipper.skip(i, stride, sink.least_key());
-            if visible > i {
-                i = visible;
-                x_front = None;
-                if i >= n {
+    fn march_field<const MODE: u8>(
+        &self,
+        (field, ray): (&Field<'_, T>, &VoxelRay),
+        lattice: Lattice,
+        run: Run,
+        walk: &mut Walk,
+        sink: &mut impl Sink,
+    ) {
+        let Lattice { s0, h, .. } = lattice;
+        let Run { end, limit, pace } = run;
+        let (origin, dir) = (ray.origin, ray.dir);
+        let skipper = Skipper::new(field, (origin, dir), lattice, run);
+        while walk.i < end {
+            let stride = walk.stride * pace;
+            let i = skipper.skip(walk.i, stride, sink.least_key());
+            if i > walk.i {
+                (walk.i, walk.x_front) = (i, None);
+                if i >= end {
                     return;
                 }
             }
             // The backs of the next steps, and the samples there.
             let mut s_back = [0.0; LANES];
             for (m, s) in s_back.iter_mut().enumerate() {
-                let back = (i + stride * (m as u32 + 1)).min(n) as i32;
+                let back = (i + stride * (m as u32 + 1)).min(limit) as i32;
                 *s = s0 + back as f32 * h;
             }
             let s_first = s0 + i as f32 * h;
-            let mut x1 = self.voxels.sample_lanes(origin, dir, &s_back);
+            let mut x1 = field.voxels.sample_lanes(origin, dir, &s_back);
             for x in &mut x1 {
                 *x = self.domain::<MODE>(*x);
             }
-            let x_first =
-                x_front.unwrap_or_else(|| self.domain::<MODE>(self.voxels.sample(origin + dir * s_first)));
+            let first = || self.domain::<MODE>(field.voxels.sample(origin + dir * s_first));
+            let x_first = walk.x_front.unwrap_or_else(first);
             let (s_front, x0) = (behind(s_first, &s_back), behind(x_first, &x1));
             let mut steps = self.visible_steps::<MODE>(&x0, &x1);
-            if let Some(gaps) = &self.gaps {
+            if let Some(gaps) = &field.gaps {
                 steps &= gaps.steps_without(origin, dir, &s_front, &s_back);
             }
-            let num_steps = (n - i).div_ceil(stride);
-            if num_steps < LANES as u32 {
-                steps &= (1 << num_steps) - 1;
-            }
+            let num_steps = (end - i).div_ceil(stride).min(LANES as u32);
+            steps &= (1 << num_steps) - 1;
             if steps != 0 {
                 let light = if MODE == Mode::Composite as u8 {
-                    self.light_lanes(&voxel_ray, &s_front, &s_back)
+                    self.light_lanes(field, ray, &s_front, &s_back)
                 } else {
                     LightLanes::PLAIN
                 };
@@ -302,24 +359,17 @@ impl<'a, T: Texels> Marcher<'a, T> {
                     let m = steps.trailing_zeros() as usize % LANES;
                     steps &= steps - 1;
                     let between = SamplePair { x0: x0[m], x1: x1[m], s0: s_front[m], s1: s_back[m] };
-                    let light = self.light_of_lane(&light, &voxel_ray, m);
-                    if let Some(pace) = self.take::<MODE>(&between, light, &voxel_ray, sink) {
-                        let next_stride = match pace {
-                            Advance::Stop => return,
-                            Advance::Step => 1,
-                            Advance::Stride => STRIDE,
-                        };
-                        if next_stride != stride {
-                            i = (i + stride * (m as u32 + 1)).min(n);
-                            stride = next_stride;
-                            x_front = Some(x1[m]);
-                            continue 'batch;
-                        }
+                    let light = self.light_of_lane(&light, ray, m);
+                    if let Some(advance) = self.take::<MODE>(&between, light, (field, ray), sink)
+                        && walk.turns(advance, i + stride * (m as u32 + 1), limit)
+                    {
+                        walk.x_front = Some(x1[m]);
+                        return;
                     }
                 }
             }
-            i = (i + stride * LANES as u32).min(n);
-            x_front = Some(x1[LANES - 1]);
+            walk.i = (i + stride * num_steps).min(limit);
+            walk.x_front = Some(x1[num_steps as usize - 1]);
         }
     }
 

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::extinction::{Detail, Extinction, Matter, Sheet};
@@ -124,7 +125,9 @@ impl Illumination {
             let borrowed = is_draft_of_other && (near.is_some() || alike.is_none());
             found.shade(volume, matter, region, detail, (alike, borrowed.then_some(near)));
             let kept = before.filter(|b| found.combines_like(b)).and_then(|b| b.lit.clone());
-            found.lit = Some(kept.unwrap_or_else(|| Arc::new(found.combined(volume))));
+            let whole = (Vec3::ONE, Vec3::ZERO);
+            let combined = || found.combined(volume.dims(), found.gradients.as_deref(), whole);
+            found.lit = Some(kept.unwrap_or_else(|| Arc::new(combined())));
         }
         found
     }
@@ -206,23 +209,36 @@ impl Illumination {
             && is_same(&self.shadow, &other.shadow)
     }
 
-    /// The brightness of every voxel, as one number.
-    fn combined(&self, volume: &Volume) -> Lit {
-        let [nx, ny, _] = volume.dims().map(|d| d as usize);
+    /// The brightness of the voxels of a page of the same volume, whose matter has `table`; `None` where matter is not
+    /// lit. Shade is that of the whole volume.
+    pub fn of_page(&self, page: &Volume, table: &TransferTable) -> Option<Lit> {
+        self.lit.as_ref()?;
+        let gradients = self.shading.map(|shading| Lit::of(page, shading, table.x_scale));
+        if !self.lighting.is_on() {
+            return gradients;
+        }
+        let scale = page.spacing() / self.volume.spacing();
+        let offset = self.volume.voxel_origin() - page.voxel_origin() * scale;
+        Some(self.combined(page.dims(), gradients.as_ref(), (scale, offset)))
+    }
+
+    /// The brightness of every voxel, as one number. `place` leads from their voxel space to that of the shaded
+    /// volume: a factor and an offset.
+    fn combined(&self, dims: [u32; 3], gradients: Option<&Lit>, place: (Vec3, Vec3)) -> Lit {
+        let [nx, ny, nz] = dims.map(|d| d as usize);
         let (ambient, diffuse) =
             self.shading.map_or((UNSHADED_AMBIENT, 1.0 - UNSHADED_AMBIENT), |s| (s.ambient, s.diffuse));
         let whole = ambient + diffuse;
         let Lighting { ambient_occlusion: a, shadows: s, .. } = self.lighting;
         let unit = LIT_MAX / whole;
         let least = if self.classes.sheets.is_some() { LEAST_OF_SURFACES } else { 0.0 };
-        let mut shares = vec![0u8; volume.voxels().len()];
+        let mut shares = vec![0u8; nx * ny * nz];
         shares.par_chunks_mut(nx * ny).enumerate().for_each(|(z, slice)| {
-            let mut occlusion = self.occlusion.as_ref().map(|part| ShadeRows::new(&part.1, nx));
-            let mut shadow = self.shadow.as_ref().map(|part| ShadeRows::new(&part.1, nx));
+            let mut occlusion = self.occlusion.as_ref().map(|part| ShadeRows::new(&part.1, nx, place));
+            let mut shadow = self.shadow.as_ref().map(|part| ShadeRows::new(&part.1, nx, place));
             for (y, out) in slice.chunks_mut(nx).enumerate() {
                 let open = occlusion.as_mut().map_or(&[][..], |rows| rows.at(y, z));
                 let lit = shadow.as_mut().map_or(&[][..], |rows| rows.at(y, z));
-                let gradients = self.gradients.as_deref();
                 let gradients = gradients.map_or(&[][..], |g| &g.shares[(z * ny + y) * nx..][..nx]);
                 for (x, out) in out.iter_mut().enumerate() {
                     let open = open.get(x).map_or(1.0, |o| 1.0 - a * (1.0 - o));
@@ -241,6 +257,8 @@ impl Illumination {
 /// A shade at the centres of voxels, row by row.
 struct ShadeRows<'a> {
     shade: &'a Shade,
+    /// From the voxels' own space to that of the shade: a factor and an offset.
+    place: (Vec3, Vec3),
     /// For each voxel, the cell before it and the weight of the next.
     places: Vec<(u32, f32)>,
     across: Vec<f32>,
@@ -248,17 +266,18 @@ struct ShadeRows<'a> {
 }
 
 impl<'a> ShadeRows<'a> {
-    fn new(shade: &'a Shade, nx: usize) -> Self {
+    fn new(shade: &'a Shade, nx: usize, place: (Vec3, Vec3)) -> Self {
         let places = (0..nx).map(|x| {
-            let (cell, part) = place(shade, 0, x);
+            let (cell, part) = cell(shade, place, 0, x);
             (cell as u32, part)
         });
-        Self { shade, places: places.collect(), across: vec![0.0; shade.dims[0] + 1], row: vec![0.0; nx] }
+        let (places, across, row) = (places.collect(), vec![0.0; shade.dims[0] + 1], vec![0.0; nx]);
+        Self { shade, place, places, across, row }
     }
 
     fn at(&mut self, y: usize, z: usize) -> &[f32] {
         let [cx, cy, cz] = self.shade.dims;
-        let ((j, ty), (k, tz)) = (place(self.shade, 1, y), place(self.shade, 2, z));
+        let ((j, ty), (k, tz)) = (cell(self.shade, self.place, 1, y), cell(self.shade, self.place, 2, z));
         let line = |j: usize, k: usize| &self.shade.shares[(k.min(cz - 1) * cy + j.min(cy - 1)) * cx..][..cx];
         let lines = line(j, k).iter().zip(line(j + 1, k)).zip(line(j, k + 1).iter().zip(line(j + 1, k + 1)));
         for (across, ((a, b), (c, d))) in self.across.iter_mut().zip(lines) {
@@ -276,9 +295,9 @@ impl<'a> ShadeRows<'a> {
 }
 
 /// The cells around the centre of a voxel along an axis.
-fn place(shade: &Shade, axis: usize, voxel: usize) -> (usize, f32) {
-    let at =
-        ((voxel as f32 + 0.5) / shade.voxels[axis] as f32 - 0.5).max(0.0).min(shade.dims[axis] as f32 - 1.0);
+fn cell(shade: &Shade, (scale, offset): (Vec3, Vec3), axis: usize, voxel: usize) -> (usize, f32) {
+    let p = (voxel as f32 + 0.5) * scale[axis] + offset[axis];
+    let at = (p / shade.voxels[axis] as f32 - 0.5).max(0.0).min(shade.dims[axis] as f32 - 1.0);
     (at as usize, at.fract())
 }
 
@@ -390,7 +409,6 @@ mod tests {
     #[test]
     fn what_is_cut_away_throws_no_shade() {
         use crate::clip::{Clip, Plane};
-        use glam::Vec3;
         let lighting = Lighting { ambient_occlusion: 1.0, shadows: 1.0, ..OFF };
         let whole = scene(false, lighting);
         // The light comes from above: without the upper half, what is left of the lower stands in the light.
@@ -473,7 +491,6 @@ mod tests {
     #[test]
     fn voxels_of_any_size_and_shape_are_lit() {
         use crate::volume::{VolumeInfo, Voxels};
-        use glam::Vec3;
         for (dims, spacing) in [
             ([1, 1, 1], Vec3::ONE),
             ([2, 1, 3], Vec3::new(1e-9, 1e-6, 1e-7)),

@@ -64,7 +64,8 @@ fn light<T: Copy + Into<f32> + Sync>(
 ) -> Vec<u8> {
     let [nx, ny, nz] = volume.dims().map(|d| d as usize);
     // Only the direction matters; this scale keeps squares from overflowing.
-    let voxel_from_world = volume.spacing().min_element() / volume.spacing();
+    let spacing = volume.finest_spacing();
+    let voxel_from_world = spacing.min_element() / spacing;
     let half_scale = volume.steepness() * (0.5 * x_scale);
     let half_squared = shading.half_gradient * shading.half_gradient;
     let mut shares = vec![0u8; voxels.len()];

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::grid::{Volume, Voxels};
+use super::pyramid::Finest;
 use crate::channels::Blend;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, TransferTable, UnitLength};
 
@@ -26,7 +27,15 @@ pub fn opacity_volume(channels: &[(&Volume, &TransferTable)], blend: Blend) -> O
             slice.iter_mut().zip(gaps).filter(|(_, gap)| **gap != 0).for_each(|(code, _)| *code = 0);
         }
     });
-    Volume::new(first.dims(), first.spacing(), Voxels::U8(codes), (1.0, 0.0), Default::default()).ok()
+    let map = (1.0, 0.0);
+    let volume =
+        Volume::new(first.dims(), first.spacing(), Voxels::U8(codes), map, Default::default()).ok()?;
+    Some(match first.finest() {
+        Some(finest) => {
+            volume.with_finest(Finest { stored_range: None, histogram: None, ..(**finest).clone() })
+        }
+        None => volume,
+    })
 }
 
 /// The table by which an [`opacity_volume`] attenuates light.

@@ -120,9 +120,14 @@ impl Pyramid {
         std::array::from_fn(|i| dims[i].saturating_sub(1).div_ceil(PAGE_CELLS * factor[i]).max(1))
     }
 
+    /// The level of a page, which must exist.
+    pub fn level(&self, page: PageId) -> &PyramidLevel {
+        &self.levels[usize::from(page.level)]
+    }
+
     /// The index, along x, y, z of its level, of the first voxel of a page.
     pub fn first_point(&self, page: PageId) -> [u32; 3] {
-        self.levels[usize::from(page.level)].first_point(page.at)
+        self.level(page).first_point(page.at)
     }
 
     /// Bytes of the voxels of a page.
@@ -136,7 +141,7 @@ impl PyramidLevel {
     pub fn first_point(&self, at: [u32; 3]) -> [u32; 3] {
         std::array::from_fn(|i| {
             let index = f64::from(at[i]) * f64::from(PAGE_CELLS) - self.shift(i);
-            (index.floor().max(0.0) as u32).min(self.dims[i].saturating_sub(2))
+            ((index.floor() - 1.0).max(0.0) as u32).min(self.dims[i].saturating_sub(2))
         })
     }
 
@@ -159,9 +164,9 @@ impl VoxelKind {
 
 /// Cells along the side of a page.
 pub const PAGE_CELLS: u32 = 64;
-/// Voxels along the side of a page: those of its cells, and one more because the voxels of a coarser level lie between
-/// those of a finer one.
-pub const PAGE_POINTS: u32 = PAGE_CELLS + 2;
+/// Voxels along the side of a page. Its cells have one more than that many; the voxels of a coarser level lie between
+/// those of a finer one, which takes another; and gradients take one before and one behind.
+pub const PAGE_POINTS: u32 = PAGE_CELLS + 4;
 /// Voxels of a page.
 pub const PAGE_VOXELS: usize = (PAGE_POINTS * PAGE_POINTS * PAGE_POINTS) as usize;
 
@@ -185,18 +190,18 @@ mod tests {
                         let here = (index as f32 - first[axis]) / factor[axis] as f32;
                         let corner = (here.max(0.0) as u32).min(dims[axis].saturating_sub(2));
                         let last = index >= dims[axis] * factor[axis];
-                        let is_held = corner >= origin && corner + 1 < origin + PAGE_POINTS;
+                        // With the neighbours of both voxels.
+                        let is_held = corner.saturating_sub(1) >= origin && corner + 2 < origin + PAGE_POINTS;
                         assert!(last || is_held, "{dims:?} {axis} {index}: {corner} from {origin}");
                     }
                 }
             }
         }
-        // Negative control: without the second point beyond the cells, a level of means lacks one.
+        // A level of means takes all of them: its cells begin a quarter of a voxel behind a voxel.
         let level = PyramidLevel { dims: [200; 3], factor: [2; 3], first: [0.5; 3] };
-        let corner = ((127.0f32 - 0.5) / 2.0) as u32;
-        assert_eq!(corner + 1, 64);
-        assert_eq!(level.first_point([1; 3])[0], 63);
-        assert_eq!(level.first_point([1; 3])[0] + PAGE_POINTS - 1, ((255.0f32 - 0.5) / 2.0) as u32 + 1);
+        let corners = [128.0f32, 255.99].map(|index| ((index - 0.5) / 2.0) as u32);
+        assert_eq!(corners[0] - 1, level.first_point([1; 3])[0]);
+        assert_eq!(corners[1] + 2, level.first_point([1; 3])[0] + PAGE_POINTS - 2);
     }
 
     #[test]
@@ -212,6 +217,6 @@ mod tests {
         // 128 cells are two pages, 129 are three, and one voxel has a page of its own.
         assert_eq!(pyramid.pages(0), [2, 3, 1]);
         assert_eq!(pyramid.pages(1), [1, 2, 1]);
-        assert_eq!(pyramid.page_bytes(), 66 * 66 * 66 * 2);
+        assert_eq!(pyramid.page_bytes(), 68 * 68 * 68 * 2);
     }
 }

@@ -12,6 +12,7 @@
 
 use glam::Vec3;
 
+use super::field::Field;
 use super::grid::{LANES, Lanes};
 use super::{Marcher, Scene, Texels};
 use crate::layer::COLOR_MAX;
@@ -55,9 +56,9 @@ pub(super) struct VoxelRay {
     pub(super) origin: Vec3,
     pub(super) dir: Vec3,
     /// Directions half-way between the eye and both sides of the light, world space.
-    halfways: [Vec3; 2],
+    pub(super) halfways: [Vec3; 2],
     /// Shares of both sides.
-    shares: [f32; 2],
+    pub(super) shares: [f32; 2],
 }
 
 impl VoxelRay {
@@ -113,9 +114,15 @@ impl<T: Texels> Marcher<'_, T> {
 
     /// Light on the middles of steps; brightness is interpolated trilinearly between voxels.
     #[inline(always)]
-    pub(super) fn light_lanes(&self, ray: &VoxelRay, s_front: &Lanes, s_back: &Lanes) -> LightLanes {
+    pub(super) fn light_lanes(
+        &self,
+        field: &Field<'_, T>,
+        ray: &VoxelRay,
+        s_front: &Lanes,
+        s_back: &Lanes,
+    ) -> LightLanes {
         let mut light = LightLanes::PLAIN;
-        let Some((grid, lit)) = &self.lit else { return light };
+        let Some((grid, lit)) = &field.lit else { return light };
         let mut middle = [0.0; LANES];
         for m in 0..LANES {
             middle[m] = 0.5 * (s_front[m] + s_back[m]);
@@ -127,15 +134,16 @@ impl<T: Texels> Marcher<'_, T> {
         let Some(highlight) = &self.highlight else { return light };
         let [mut x, mut y, mut z] = [[0.0; LANES]; 3];
         for (slope, axis) in [(&mut x, Vec3::X), (&mut y, Vec3::Y), (&mut z, Vec3::Z)] {
-            let before = self.voxels.sample_lanes(ray.origin - axis, ray.dir, &middle);
-            *slope = self.voxels.sample_lanes(ray.origin + axis, ray.dir, &middle);
+            let before = field.voxels.sample_lanes(ray.origin - axis, ray.dir, &middle);
+            *slope = field.voxels.sample_lanes(ray.origin + axis, ray.dir, &middle);
             for m in 0..LANES {
                 slope[m] -= before[m];
             }
         }
         for m in 0..LANES {
             let slope = Vec3::new(x[m], y[m], z[m]);
-            let (strength, facing) = self.facing(highlight, ray, slope, light.brightness[m]);
+            let (strength, facing) =
+                self.facing(highlight, ray, slope * field.steepness, light.brightness[m]);
             light.strength[m] = strength;
             (light.facing[0][m], light.facing[1][m]) = (facing[0], facing[1]);
         }
@@ -151,28 +159,29 @@ impl<T: Texels> Marcher<'_, T> {
     }
 
     /// The same for any distance along the ray.
-    pub(super) fn light_at(&self, ray: &VoxelRay, s: f32) -> PointLight {
+    pub(super) fn light_at(&self, field: &Field<'_, T>, ray: &VoxelRay, s: f32) -> PointLight {
         let p = ray.origin + ray.dir * s;
-        let brightness = self.lit.as_ref().map_or(1.0, |(grid, lit)| brightness_of(lit, grid.sample(p)));
+        let brightness = field.lit.as_ref().map_or(1.0, |(grid, lit)| brightness_of(lit, grid.sample(p)));
         let mirrored = self.highlight.as_ref().map_or(0.0, |highlight| {
             let slope = [Vec3::X, Vec3::Y, Vec3::Z]
-                .map(|axis| self.voxels.sample(p + axis) - self.voxels.sample(p - axis));
-            let (strength, facing) = self.facing(highlight, ray, slope.into(), brightness);
+                .map(|axis| field.voxels.sample(p + axis) - field.voxels.sample(p - axis));
+            let slope = Vec3::from(slope) * field.steepness;
+            let (strength, facing) = self.facing(highlight, ray, slope, brightness);
             mirrored(highlight, ray, strength, facing)
         });
         PointLight { brightness, mirrored }
     }
 
-    /// Strength of the highlight where the stored numbers grow by `slope` over two voxels, and how squarely the matter
+    /// Strength of the highlight where the stored numbers grow by `slope` over two voxels of the finest level, and how squarely the matter
     /// faces the half-way directions.
     #[inline(always)]
     fn facing(&self, h: &Highlight, ray: &VoxelRay, slope: Vec3, brightness: f32) -> (f32, [f32; 2]) {
-        let per_voxel = (slope * (self.scene.volume.steepness() * (0.5 * self.scene.table.x_scale)))
+        let per_voxel = (slope * (0.5 * self.scene.table.x_scale))
             .clamp(Vec3::splat(-GRADIENT_MAX), Vec3::splat(GRADIENT_MAX));
         let square = per_voxel.length_squared();
         let weight = square / (square + h.half_gradient * h.half_gradient).max(LEAST_SQUARE);
         // Only the direction matters; this scale keeps squares from overflowing.
-        let normal = per_voxel * (self.voxel_from_world / self.voxel_from_world.max_element());
+        let normal = per_voxel * self.finest_from_world;
         let normal = normal / normal.length_squared().max(LEAST_SQUARE).sqrt();
         let mut strength = h.specular * weight;
         let (ambient, diffuse) = h.open;

@@ -3,6 +3,8 @@
 
 use glam::Vec3;
 
+use crate::volume::Voxels;
+
 /// Points sampled at once.
 pub(super) const LANES: usize = 8;
 
@@ -92,11 +94,38 @@ impl Texels for &[f32] {
     }
 }
 
-/// Texels on a grid, x fastest. Beyond the outermost centres the nearest face continues.
+/// Texels of the type of some voxels.
+pub trait TexelsOf<'a>: Texels {
+    /// The voxels, which must have this type.
+    fn of(voxels: &'a Voxels) -> Self;
+}
+
+impl<'a> TexelsOf<'a> for &'a [u8] {
+    fn of(voxels: &'a Voxels) -> Self {
+        if let Voxels::U8(v) = voxels { v } else { &[] }
+    }
+}
+
+impl<'a> TexelsOf<'a> for &'a [u16] {
+    fn of(voxels: &'a Voxels) -> Self {
+        if let Voxels::U16(v) = voxels { v } else { &[] }
+    }
+}
+
+impl<'a> TexelsOf<'a> for &'a [f32] {
+    fn of(voxels: &'a Voxels) -> Self {
+        if let Voxels::F32(v) = voxels { v } else { &[] }
+    }
+}
+
+/// Where texels lie in memory and in space.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Grid<T> {
-    texels: T,
+pub(super) struct GridShape {
     strides: [u32; 3],
+    /// Index at which a texel of coordinates 0 would lie, subtracted.
+    base: u32,
+    /// Coordinates of the first centre.
+    least: [f32; 3],
     /// Coordinates of the last centre.
     last: [f32; 3],
     /// Greatest first corner of a cell.
@@ -105,17 +134,65 @@ pub(super) struct Grid<T> {
     has_lanes: bool,
 }
 
-impl<T: Texels> Grid<T> {
-    /// Wraps `texels` of a grid of `dims`.
-    pub(super) fn new(texels: T, dims: [u32; 3]) -> Self {
-        let has_lanes = texels.count() <= u32::MAX as usize && dims.iter().all(|&d| d > 1);
+impl GridShape {
+    /// A grid of `dims`.
+    pub(super) fn whole(dims: [u32; 3]) -> Self {
+        let count = dims.iter().map(|&d| u64::from(d)).product::<u64>();
         Self {
-            texels,
             strides: [1, dims[0], dims[0] * dims[1]],
+            base: 0,
+            least: [0.0; 3],
             last: dims.map(|d| d as f32 - 1.0),
             greatest: dims.map(|d| d.saturating_sub(2) as i32),
-            has_lanes,
+            has_lanes: count <= u64::from(u32::MAX) && dims.iter().all(|&d| d > 1),
         }
+    }
+
+    /// The index of the texel at coordinates inside, if it has 32 bits.
+    #[inline(always)]
+    fn index(&self, [x, y, z]: [u32; 3]) -> u32 {
+        let [_, sy, sz] = self.strides;
+        z.wrapping_mul(sz).wrapping_add(y.wrapping_mul(sy)).wrapping_add(x).wrapping_sub(self.base)
+    }
+
+    /// The part of a grid of `dims` that begins at `first` and has `side` texels along each axis. Beyond the grid its
+    /// last texels repeat.
+    pub(super) fn part(side: [u32; 3], first: [u32; 3], dims: [u32; 3]) -> Self {
+        let strides = [1, side[0], side[0] * side[1]];
+        let last = |i: usize| (first[i] + side[i]).min(dims[i]) - 1;
+        let base = (0..3).map(|i| first[i].wrapping_mul(strides[i])).fold(0, u32::wrapping_add);
+        Self {
+            strides,
+            base,
+            least: first.map(|i| i as f32),
+            last: std::array::from_fn(|i| last(i) as f32),
+            greatest: std::array::from_fn(|i| (last(i).max(1) - 1) as i32),
+            has_lanes: true,
+        }
+    }
+}
+
+/// Texels on a grid, x fastest. Beyond the outermost centres the nearest face continues.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Grid<T> {
+    texels: T,
+    shape: GridShape,
+}
+
+impl<T: Texels> Grid<T> {
+    /// `texels` must be those of the shape.
+    pub(super) fn new(texels: T, shape: GridShape) -> Self {
+        Self { texels, shape }
+    }
+
+    /// The index of the texel at coordinates inside.
+    #[inline(always)]
+    fn index(&self, at: [u32; 3]) -> usize {
+        if self.shape.has_lanes {
+            return self.shape.index(at) as usize;
+        }
+        let place = |i: usize| at[i] as usize * self.shape.strides[i] as usize;
+        place(0) + place(1) + place(2)
     }
 
     /// The value at a point in voxel space.
@@ -123,9 +200,11 @@ impl<T: Texels> Grid<T> {
         let (cx, tx) = self.cell(0, p.x);
         let (cy, ty) = self.cell(1, p.y);
         let (cz, tz) = self.cell(2, p.z);
-        let v = |dx: usize, dy: usize, dz: usize| {
-            let at = |axis: usize, i: usize| (i).min(self.last[axis] as usize) * self.strides[axis] as usize;
-            self.texels.at(at(2, cz as usize + dz) + at(1, cy as usize + dy) + at(0, cx as usize + dx))
+        let corner = [cx, cy, cz];
+        let v = |dx: u32, dy: u32, dz: u32| {
+            let next = [dx, dy, dz];
+            let at = |i: usize| (corner[i] as u32 + next[i]).min(self.shape.last[i] as u32);
+            self.texels.at(self.index([at(0), at(1), at(2)]))
         };
         let x00 = mix(v(0, 0, 0), v(1, 0, 0), tx);
         let x10 = mix(v(0, 1, 0), v(1, 1, 0), tx);
@@ -137,8 +216,8 @@ impl<T: Texels> Grid<T> {
     /// The value of the voxel around a point in voxel space.
     #[inline(always)]
     pub(super) fn nearest(&self, p: Vec3) -> f32 {
-        let at = |axis: usize| (p[axis].max(0.0).min(self.last[axis])) as usize * self.strides[axis] as usize;
-        self.texels.at(at(2) + at(1) + at(0))
+        let at = |i: usize| p[i].max(self.shape.least[i]).min(self.shape.last[i]) as u32;
+        self.texels.at(self.index([at(0), at(1), at(2)]))
     }
 
     /// One bit per step, set where the voxels around both ends have the value 0.
@@ -152,7 +231,7 @@ impl<T: Texels> Grid<T> {
     #[inline(always)]
     pub(super) fn sample_lanes(&self, origin: Vec3, dir: Vec3, s: &Lanes) -> Lanes {
         let mut value = [0.0; LANES];
-        if !self.has_lanes {
+        if !self.shape.has_lanes {
             for m in 0..LANES {
                 value[m] = self.sample(origin + dir * s[m]);
             }
@@ -161,10 +240,10 @@ impl<T: Texels> Grid<T> {
         let (cx, tx) = self.cells(0, origin.x, dir.x, s);
         let (cy, ty) = self.cells(1, origin.y, dir.y, s);
         let (cz, tz) = self.cells(2, origin.z, dir.z, s);
-        let [_, sy, sz] = self.strides;
+        let [_, sy, sz] = self.shape.strides;
         let mut at = [0u32; LANES];
         for m in 0..LANES {
-            at[m] = cz[m].wrapping_mul(sz).wrapping_add(cy[m].wrapping_mul(sy)).wrapping_add(cx[m]);
+            at[m] = self.shape.index([cx[m], cy[m], cz[m]]);
         }
         let x00 = self.rows(&at, 0, &tx);
         let x10 = self.rows(&at, sy, &tx);
@@ -208,9 +287,10 @@ impl<T: Texels> Grid<T> {
     fn cell(&self, axis: usize, p: f32) -> (i32, f32) {
         // The clamp continues the nearest face, and bounds the points of a very distant eye.
         let u = p - 0.5;
-        let u = if u > 0.0 { u } else { 0.0 };
-        let u = if u < self.last[axis] { u } else { self.last[axis] };
-        let corner = (u as i32).min(self.greatest[axis]);
+        let (least, last) = (self.shape.least[axis], self.shape.last[axis]);
+        let u = if u > least { u } else { least };
+        let u = if u < last { u } else { last };
+        let corner = (u as i32).min(self.shape.greatest[axis]);
         (corner, u - corner as f32)
     }
 }
@@ -240,7 +320,7 @@ mod tests {
 
     /// Compares bits along rays through and beside the grid, and from an eye so far away that nothing is left of it.
     fn agree<T: Texels>(texels: T, dims: [u32; 3]) {
-        let grid = Grid::new(texels, dims);
+        let grid = Grid::new(texels, GridShape::whole(dims));
         let mut seen = std::collections::BTreeSet::new();
         for (origin, dir, first) in [
             (Vec3::new(-1.0, 0.3, 7.1), Vec3::new(0.61, 0.27, -0.43), 0.0),

@@ -11,28 +11,37 @@
 
 use glam::Vec3;
 
+use super::field::{Field, Run};
 use super::glossy::VoxelRay;
-use super::grid::{Grid, LANES, Lanes};
+use super::grid::{Grid, GridShape, LANES, Lanes};
 use super::skipper::{Skipper, VisibleBins};
-use super::{Advance, Lattice, Marcher, STRIDE, Scene, Sink, Step, TABLE_BINS, TAU_MIN, Texels, classify_by};
+use super::{Lattice, Marcher, Scene, Sink, Step, TABLE_BINS, TAU_MIN, Texels, Walk, classify_by};
 use crate::channels::{Blend, MAX_CHANNELS};
 use crate::kernels::raycast::opacity;
-use crate::space::{Ray, safe_dir};
 use crate::transfer::TransferTable;
-use crate::volume::{Volume, Voxels};
+use crate::volume::Voxels;
 
 /// A channel of a mixed march.
 pub(super) struct MixedChannel<'a> {
-    texels: AnyGrid<'a>,
     table: &'a TransferTable,
     visible_bins: VisibleBins,
 }
 
 /// Texels of any type.
-enum AnyGrid<'a> {
+pub(super) enum AnyGrid<'a> {
     U8(Grid<&'a [u8]>),
     U16(Grid<&'a [u16]>),
     F32(Grid<&'a [f32]>),
+}
+
+impl<'a> AnyGrid<'a> {
+    pub(super) fn of(voxels: &'a Voxels, shape: GridShape) -> Self {
+        match voxels {
+            Voxels::U8(v) => Self::U8(Grid::new(v, shape)),
+            Voxels::U16(v) => Self::U16(Grid::new(v, shape)),
+            Voxels::F32(v) => Self::F32(Grid::new(v, shape)),
+        }
+    }
 }
 
 impl<'a> MixedChannel<'a> {
@@ -41,27 +50,18 @@ impl<'a> MixedChannel<'a> {
         if !scene.is_mixed() {
             return Vec::new();
         }
-        let others = scene.others.iter().map(|o| (&*o.volume, &o.table));
-        std::iter::once((&*scene.volume, &scene.table)).chain(others).map(Self::new).collect()
-    }
-
-    fn new((volume, table): (&'a Volume, &'a TransferTable)) -> Self {
-        let dims = volume.dims();
-        let texels = match volume.voxels() {
-            Voxels::U8(v) => AnyGrid::U8(Grid::new(v, dims)),
-            Voxels::U16(v) => AnyGrid::U16(Grid::new(v, dims)),
-            Voxels::F32(v) => AnyGrid::F32(Grid::new(v, dims)),
-        };
-        Self { texels, table, visible_bins: VisibleBins::of(table) }
+        let others = scene.others.iter().map(|other| &other.table);
+        let of = |table| Self { table, visible_bins: VisibleBins::of(table) };
+        std::iter::once(&scene.table).chain(others).map(of).collect()
     }
 
     /// Positions in the domain of points along a ray.
     #[inline(always)]
-    fn positions(&self, origin: Vec3, dir: Vec3, s: &Lanes) -> Lanes {
+    fn positions(&self, texels: &AnyGrid<'_>, origin: Vec3, dir: Vec3, s: &Lanes) -> Lanes {
         let mut x = [0.0; LANES];
         if self.table.are_labels {
             for m in 0..LANES {
-                let stored = match &self.texels {
+                let stored = match texels {
                     AnyGrid::U8(grid) => grid.nearest(origin + dir * s[m]),
                     AnyGrid::U16(grid) => grid.nearest(origin + dir * s[m]),
                     AnyGrid::F32(grid) => grid.nearest(origin + dir * s[m]),
@@ -70,7 +70,7 @@ impl<'a> MixedChannel<'a> {
             }
             return x;
         }
-        let stored = match &self.texels {
+        let stored = match texels {
             AnyGrid::U8(grid) => grid.sample_lanes(origin, dir, s),
             AnyGrid::U16(grid) => grid.sample_lanes(origin, dir, s),
             AnyGrid::F32(grid) => grid.sample_lanes(origin, dir, s),
@@ -117,43 +117,49 @@ impl<'a> MixedChannel<'a> {
 }
 
 impl<T: Texels> Marcher<'_, T> {
-    /// Marches all channels together, [`LANES`] steps at once like the march of one channel.
+    /// Marches all channels of a field together, [`LANES`] steps at once like the march of one channel.
     #[inline(always)]
-    pub(super) fn march_channels(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
-        let Lattice { s0, h, n, .. } = lattice;
-        let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
-        let voxel_ray = VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, None);
-        let dir = voxel_ray.dir;
-        let skipper = Skipper::new(self, origin, dir, lattice);
+    pub(super) fn march_channels(
+        &self,
+        (field, ray): (&Field<'_, T>, &VoxelRay),
+        lattice: Lattice,
+        run: Run,
+        walk: &mut Walk,
+        sink: &mut impl Sink,
+    ) {
+        let Lattice { s0, h, .. } = lattice;
+        let Run { end, limit, pace } = run;
+        let (origin, dir) = (ray.origin, ray.dir);
+        let skipper = Skipper::new(field, (origin, dir), lattice, run);
         let mut positions = [[[0.0; LANES]; 2]; MAX_CHANNELS];
-        let (mut i, mut stride) = (0, 1);
-        'batch: while i < n {
-            i = skipper.skip(i, stride, -1.0);
-            if i >= n {
+        while walk.i < end {
+            let stride = walk.stride * pace;
+            let i = skipper.skip(walk.i, stride, -1.0);
+            walk.i = i;
+            if i >= end {
                 return;
             }
             let (mut s_front, mut s_back) = ([0.0; LANES], [0.0; LANES]);
             for m in 0..LANES {
                 let front = i + stride * m as u32;
-                s_front[m] = s0 + front.min(n) as f32 * h;
-                s_back[m] = s0 + (front + stride).min(n) as f32 * h;
+                s_front[m] = s0 + front.min(limit) as f32 * h;
+                s_back[m] = s0 + (front + stride).min(limit) as f32 * h;
             }
             let mut steps = 0;
-            for (channel, [x0, x1]) in self.channels.iter().zip(&mut positions) {
-                *x1 = channel.positions(origin, dir, &s_back);
-                let first = channel.positions(origin, dir, &[s_front[0]; LANES])[0];
+            let channels = self.channels.iter().zip(&field.channels);
+            for ((channel, texels), [x0, x1]) in channels.zip(&mut positions) {
+                *x1 = channel.positions(texels, origin, dir, &s_back);
+                let first = channel.positions(texels, origin, dir, &[s_front[0]; LANES])[0];
                 *x0 = super::behind(first, x1);
                 steps |= channel.visible_steps(x0, x1);
             }
-            if let Some(gaps) = &self.gaps {
+            if let Some(gaps) = &field.gaps {
                 steps &= gaps.steps_without(origin, dir, &s_front, &s_back);
             }
-            let num_steps = (n - i).div_ceil(stride);
-            if num_steps < LANES as u32 {
-                steps &= (1 << num_steps) - 1;
-            }
+            let num_steps = (end - i).div_ceil(stride).min(LANES as u32);
+            steps &= (1 << num_steps) - 1;
             if steps != 0 {
-                let light = self.light_lanes(&voxel_ray, &s_front, &s_back);
+                let light = self.light_lanes(field, ray, &s_front, &s_back);
                 while steps != 0 {
                     let m = steps.trailing_zeros() as usize % LANES;
                     steps &= steps - 1;
@@ -165,20 +171,14 @@ impl<T: Texels> Marcher<'_, T> {
                         continue;
                     }
                     let alpha = opacity(tau);
-                    let c = self.sent(color, alpha, self.light_of_lane(&light, &voxel_ray, m));
-                    let next = match sink.step(Step { s0: s_front[m], s1: s_back[m], c, tau, alpha }) {
-                        Advance::Stop => return,
-                        Advance::Step => 1,
-                        Advance::Stride => STRIDE,
-                    };
-                    if next != stride {
-                        i = (i + stride * (m as u32 + 1)).min(n);
-                        stride = next;
-                        continue 'batch;
+                    let c = self.sent(color, alpha, self.light_of_lane(&light, ray, m));
+                    let next = sink.step(Step { s0: s_front[m], s1: s_back[m], c, tau, alpha });
+                    if walk.turns(next, i + stride * (m as u32 + 1), limit) {
+                        return;
                     }
                 }
             }
-            i = (i + stride * LANES as u32).min(n);
+            walk.i = (i + stride * num_steps).min(limit);
         }
     }
 }

@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use super::field::Field;
 use super::glossy::{PointLight, VoxelRay};
 use super::grid::Lanes;
 use super::surfaces::sheets;
@@ -192,11 +193,11 @@ impl<T: Texels> Marcher<'_, T> {
         &self,
         &SamplePair { x0, x1, s0, s1 }: &SamplePair,
         light: PointLight,
-        ray: &VoxelRay,
+        (field, ray): (&Field<'_, T>, &VoxelRay),
         sink: &mut impl Sink,
     ) -> Option<Advance> {
         if MODE == SURFACES {
-            return self.cross(&SamplePair { x0, x1, s0, s1 }, ray, sink);
+            return self.cross(&SamplePair { x0, x1, s0, s1 }, (field, ray), sink);
         }
         if MODE == GREATEST {
             return Some(sink.step(Values::between(x0, x1).step(s0, s1)));
@@ -221,7 +222,12 @@ impl<T: Texels> Marcher<'_, T> {
 
     /// Hands on the surfaces between two samples. A step into greater values begins at the crossing, and one into
     /// lesser values ends there; [`super::surfaces`] makes segments of them.
-    fn cross(&self, ends: &SamplePair, ray: &VoxelRay, sink: &mut impl Sink) -> Option<Advance> {
+    fn cross(
+        &self,
+        ends: &SamplePair,
+        (field, ray): (&Field<'_, T>, &VoxelRay),
+        sink: &mut impl Sink,
+    ) -> Option<Advance> {
         let mut pace = None;
         let to_greater = ends.x1 > ends.x0;
         let num = self.scene.surfaces.len();
@@ -238,7 +244,7 @@ impl<T: Texels> Marcher<'_, T> {
             };
             let mut s = chord(a, b);
             for _ in 0..REFINEMENTS {
-                let x = self.domain::<SURFACES>(self.voxels.sample(ray.origin + ray.dir * s));
+                let x = self.domain::<SURFACES>(field.voxels.sample(ray.origin + ray.dir * s));
                 if (x < surface.x) == (ends.x0 < surface.x) {
                     a = (s, x);
                 } else {
@@ -249,7 +255,7 @@ impl<T: Texels> Marcher<'_, T> {
             s = s.max(last);
             last = s;
             let alpha = opacity(surface.tau);
-            let c = self.sent(surface.color, alpha, self.light_at(ray, s));
+            let c = self.sent(surface.color, alpha, self.light_at(field, ray, s));
             let s1 = if to_greater { f32::INFINITY } else { f32::NEG_INFINITY };
             let next = sink.step(Step { s0: s, s1, c, tau: surface.tau, alpha });
             pace = Some(next);

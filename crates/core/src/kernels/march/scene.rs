@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
+
 use super::modes::{self, Surface};
+use super::pages::ScenePages;
 use super::{Lattice, MAX_STEPS, MarchSettings, surfaces};
 use crate::channels::{Blend, Channels, Visibility};
 use crate::clip::Region;
@@ -28,6 +31,10 @@ pub struct Scene {
     /// Classification; in a projection, the display colour of a value ([`TransferFunction::shown_table`]), and for the
     /// mean that times the [`exposure`](TransferFunction::exposure).
     pub table: TransferTable,
+    /// Which channel `volume` is, from 0.
+    pub first_channel: usize,
+    /// The pages that are shown in place of `volume`, which is then the coarsest level of theirs.
+    pub pages: Option<ScenePages>,
     /// The channels that are marched together with `volume`.
     pub others: Vec<MarchedChannel>,
     /// How their matter counts together.
@@ -182,13 +189,15 @@ impl Scene {
             None => None,
         };
         let has_lesser_bodies = surfaces::has_lesser(&surfaces, &table, &volume, &settings.clip);
-        let before = before.map(|(scene, near)| (&scene.illumination, near));
+        let lit_before = before.map(|(scene, near)| (&scene.illumination, near));
         let illumination = match &opacities {
-            Some(opacities) => modes::illuminate(opacities, &opacity_table(opacities), &[], settings, before),
-            None => modes::illuminate(&volume, &table, &surfaces, settings, before),
+            Some(opacities) => {
+                modes::illuminate(opacities, &opacity_table(opacities), &[], settings, lit_before)
+            }
+            None => modes::illuminate(&volume, &table, &surfaces, settings, lit_before),
         };
         let blend = looks.blend;
-        Self {
+        let mut scene = Self {
             volume,
             bricks,
             histogram,
@@ -203,7 +212,30 @@ impl Scene {
             channels,
             looks,
             opacities,
+            first_channel: first.unwrap_or(0),
+            pages: None,
+        };
+        if let Some((before, set)) = before.and_then(|(b, _)| Some((b, b.pages.as_ref()?.set.clone()))) {
+            scene.pages = Some(scene.look_at(set, Some(before)));
         }
+        scene
+    }
+
+    /// Distances of the voxels that a march steps by, world units, and the world's origin in their voxel space.
+    pub fn voxel_space(&self) -> (Vec3, Vec3) {
+        let Some(pages) = &self.pages else { return (self.volume.spacing(), self.volume.voxel_origin()) };
+        let pyramid = pages.set.pyramid();
+        (pyramid.spacing, Vec3::from_array(pyramid.dims().map(|n| n as f32 * 0.5)))
+    }
+
+    /// The volumes that are marched together, in their order.
+    pub(super) fn marched_volumes(&self) -> impl Iterator<Item = &Volume> {
+        std::iter::once(&*self.volume).chain(self.others.iter().map(|other| &*other.volume))
+    }
+
+    /// Whether the brightness is that of the look, in its final detail.
+    pub fn is_final(&self) -> bool {
+        self.illumination.is_final() && self.pages.as_ref().is_none_or(ScenePages::is_final)
     }
 
     /// Whether the march mixes channels, or reads labels.
@@ -228,7 +260,11 @@ impl Scene {
 
     /// Number of steps on the longest ray.
     pub fn max_steps(&self) -> u32 {
-        (self.volume.dims_f32().length() / self.settings.step_in_voxels).ceil().clamp(1.0, MAX_STEPS) as u32
+        let dims = match &self.pages {
+            Some(pages) => Vec3::from_array(pages.set.pyramid().dims().map(|n| n as f32)),
+            None => self.volume.dims_f32(),
+        };
+        (dims.length() / self.settings.step_in_voxels).ceil().clamp(1.0, MAX_STEPS) as u32
     }
 
     /// The lattice of steps of a ray inside the visible part, in front of the camera's near plane.
@@ -240,10 +276,11 @@ impl Scene {
         }
         // Steps are longer along longer sides of voxels: no ray takes more of them between two voxels than along the
         // shortest side.
-        let voxel_from_world = self.volume.spacing().recip();
+        let (spacing, _) = self.voxel_space();
+        let voxel_from_world = spacing.recip();
         let voxels = (ray.dir * voxel_from_world).length();
         let share = (voxels / voxel_from_world.max_element()).min(1.0);
-        let step_in_world = self.settings.step_in_voxels * self.volume.spacing().min_element();
+        let step_in_world = self.settings.step_in_voxels * spacing.min_element();
         let n = ((s1 - s0) / step_in_world * share).ceil().clamp(1.0, MAX_STEPS);
         let h = (s1 - s0) / n;
         Some(Lattice { s0, h, n: n as u32, unit: h * share })

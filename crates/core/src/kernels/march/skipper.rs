@@ -2,8 +2,9 @@
 
 use glam::{BVec3, Vec3};
 
+use super::field::{Field, Run};
 use super::grid::{LANES, Lanes};
-use super::{Lattice, Marcher, STRIDE, bin};
+use super::{Lattice, STRIDE, bin};
 use crate::transfer::{TABLE_BINS, TransferTable};
 use crate::volume::{BRICK, Occupancy};
 
@@ -16,45 +17,53 @@ pub(super) struct Skipper<'a> {
     inv_dir: Vec3,
     is_ascending: BVec3,
     lattice: Lattice,
+    run: Run,
     /// Whether both ends of every step lie in the same or in touching bricks.
     is_fine: bool,
 }
 
 impl<'a> Skipper<'a> {
     #[inline(always)]
-    pub(super) fn new<T>(marcher: &'a Marcher<'_, T>, origin: Vec3, dir: Vec3, lattice: Lattice) -> Self {
-        let step = dir.abs().max_element() * lattice.h;
+    pub(super) fn new<T>(
+        field: &'a Field<'_, T>,
+        (origin, dir): (Vec3, Vec3),
+        lattice: Lattice,
+        run: Run,
+    ) -> Self {
+        let step = dir.abs().max_element() * lattice.h * run.pace as f32;
         Self {
-            occupancy: &marcher.scene.occupancy,
-            max_brick: marcher.max_brick,
-            origin,
+            occupancy: field.occupancy,
+            max_brick: field.max_brick,
+            origin: origin - field.first_brick,
             dir,
             inv_dir: dir.recip(),
             is_ascending: dir.cmpgt(Vec3::ZERO),
             lattice,
+            run,
             is_fine: step * (STRIDE as f32) < BRICK as f32,
         }
     }
 
-    /// The first lattice point from `i` on, by strides, whose step may be visible and above the key `least`; n if
-    /// none.
+    /// The first lattice point from `i` on, by strides, whose step may be visible and above the key `least`; the end of
+    /// the run or more if none.
     #[inline(always)]
     pub(super) fn skip(&self, mut i: u32, stride: u32, least: f32) -> u32 {
-        let Lattice { s0, h, n, .. } = self.lattice;
+        let Lattice { s0, h, .. } = self.lattice;
+        let Run { end, limit, .. } = self.run;
         let (mut brick, mut empty) = self.brick_at(i, least);
         while empty > 0 {
-            // The last lattice point within the surrounding invisible bricks.
+            // The last lattice point within the surrounding invisible bricks, of which a page knows its own only.
             let reach = if self.is_fine { empty as f32 } else { 1.0 };
             let leaves =
                 brick + Vec3::select(self.is_ascending, Vec3::splat(reach), Vec3::splat(1.0 - reach));
             let exit = ((leaves * BRICK as f32 - self.origin) * self.inv_dir).min_element();
-            let j = ((exit - s0) / h).clamp(0.0, n as f32) as u32;
+            let j = ((exit - s0) / h).clamp(0.0, end as f32) as u32;
             if j > i {
                 i += (j - i) / stride * stride;
             }
             // A step between invisible bricks that touch is invisible as well.
-            let next = (i + stride).min(n);
-            if i >= n || !self.is_fine {
+            let next = (i + stride).min(limit);
+            if i >= end || !self.is_fine {
                 break;
             }
             (brick, empty) = self.brick_at(next, least);

@@ -80,7 +80,7 @@ fn avx2_and_portable_marches_take_the_same_steps() {
     }
 }
 
-fn compare<T: Texels>(scene: &Scene, texels: T) {
+fn compare<'a, T: TexelsOf<'a>>(scene: &'a Scene, texels: T) {
     let wide = Marcher::new(scene, texels);
     assert!(wide.has_avx2);
     let portable = Marcher { has_avx2: false, ..Marcher::new(scene, texels) };

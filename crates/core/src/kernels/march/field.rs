@@ -1,0 +1,199 @@
+//! What a march reads along a part of a ray: the texels of a whole volume, or of one page.
+
+use glam::Vec3;
+
+use super::grid::{Grid, GridShape, Texels, TexelsOf};
+use super::mixed::AnyGrid;
+use super::pages::PageLook;
+use super::{Lattice, Scene};
+use crate::kernels::march::glossy::VoxelRay;
+use crate::volume::{Lit, Occupancy, PAGE_CELLS, PAGE_POINTS, Page, PageSet, Volume};
+
+/// The texels of one grid.
+pub(super) struct Field<'a, T> {
+    pub(super) voxels: Grid<T>,
+    pub(super) lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
+    /// Voxels with nothing in them.
+    pub(super) gaps: Option<Grid<&'a [u8]>>,
+    /// All visible channels, if the march mixes them.
+    pub(super) channels: Vec<AnyGrid<'a>>,
+    pub(super) occupancy: &'a Occupancy,
+    /// Where the first brick begins, voxel space.
+    pub(super) first_brick: Vec3,
+    pub(super) max_brick: Vec3,
+    /// See [`Volume::steepness`].
+    pub(super) steepness: Vec3,
+    /// From the voxel space of the scene to that of the texels: a factor and an offset.
+    place: (Vec3, Vec3),
+    /// The level of a page.
+    level: u8,
+    /// Whether anything of it may be seen.
+    is_visible: bool,
+}
+
+/// A part of a ray that is marched in one field, in lattice points.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Run {
+    /// Steps begin before this point,
+    pub(super) end: u32,
+    /// and end before or at this one.
+    pub(super) limit: u32,
+    /// Lattice points of a step.
+    pub(super) pace: u32,
+}
+
+impl<'a, T: TexelsOf<'a>> Field<'a, T> {
+    /// A whole volume. `texels` are those of the first marched channel.
+    pub(super) fn whole(scene: &'a Scene, texels: T) -> Self {
+        let volume = &*scene.volume;
+        let shape = GridShape::whole(volume.dims());
+        let lit = scene.illumination.lit().map(|lit| &**lit);
+        Self {
+            place: (Vec3::ONE, Vec3::ZERO),
+            level: 0,
+            is_visible: true,
+            ..Self::new(scene, texels, shape, (volume, lit), &scene.occupancy, Vec3::ZERO)
+        }
+    }
+
+    /// A page.
+    pub(super) fn page(scene: &'a Scene, set: &'a PageSet, page: &'a Page, look: &'a PageLook) -> Self {
+        let volume = scene.first_of_page(page);
+        let level = set.pyramid().level(page.id);
+        let first = set.pyramid().first_point(page.id);
+        let shape = GridShape::part([PAGE_POINTS; 3], first, level.dims);
+        let start = Vec3::from_array(first.map(|i| i as f32));
+        let field =
+            Self::new(scene, T::of(volume.voxels()), shape, (volume, look.lit()), &look.occupancy, start);
+        let scale = Vec3::from_array(level.factor.map(|f| 1.0 / f as f32));
+        let offset = 0.5 - (0.5 + Vec3::from_array(level.first)) * scale;
+        Self {
+            place: (scale, offset),
+            level: page.id.level,
+            is_visible: look.is_visible,
+            channels: scene
+                .channels_of_page(page)
+                .map(|volume| AnyGrid::of(volume.voxels(), shape))
+                .collect(),
+            ..field
+        }
+    }
+
+    fn new(
+        scene: &'a Scene,
+        texels: T,
+        shape: GridShape,
+        (volume, lit): (&'a Volume, Option<&'a Lit>),
+        occupancy: &'a Occupancy,
+        first_brick: Vec3,
+    ) -> Self {
+        let channels = if scene.is_mixed() { scene.marched_volumes().collect() } else { Vec::new() };
+        Self {
+            voxels: Grid::new(texels, shape),
+            lit: lit.map(|lit| (Grid::new(&lit.shares[..], shape), lit)),
+            gaps: volume.gaps().map(|gaps| Grid::new(&gaps.bytes[..], shape)),
+            channels: channels.into_iter().map(|volume| AnyGrid::of(volume.voxels(), shape)).collect(),
+            occupancy,
+            first_brick,
+            max_brick: Vec3::from_array(occupancy.dims.map(|n| n as f32 - 1.0)),
+            steepness: volume.steepness(),
+            place: (Vec3::ONE, Vec3::ZERO),
+            level: 0,
+            is_visible: true,
+        }
+    }
+}
+
+impl<T: Texels> Field<'_, T> {
+    /// A ray of the scene's voxel space in that of the texels.
+    #[inline(always)]
+    pub(super) fn ray(&self, ray: &VoxelRay) -> VoxelRay {
+        let (scale, offset) = self.place;
+        VoxelRay { origin: ray.origin * scale + offset, dir: ray.dir * scale, ..*ray }
+    }
+}
+
+/// The fields of a scene.
+pub(super) struct Fields<'a, T> {
+    /// The whole volume; of a scene with pages, its coarsest level.
+    whole: Field<'a, T>,
+    /// The pages, in the order of their set.
+    pages: Vec<Field<'a, T>>,
+    set: Option<&'a PageSet>,
+    /// Greatest index of the finest level along x, y, z.
+    last: Vec3,
+}
+
+impl<'a, T: TexelsOf<'a>> Fields<'a, T> {
+    pub(super) fn of(scene: &'a Scene, texels: T) -> Self {
+        let whole = Field::whole(scene, texels);
+        let Some(pages) = &scene.pages else {
+            return Self { whole, pages: Vec::new(), set: None, last: Vec3::ZERO };
+        };
+        let set = &*pages.set;
+        let each = set.pages().iter().zip(&pages.looks);
+        let fields = each.map(|(page, look)| Field::page(scene, set, page, look)).collect();
+        let last = Vec3::from_array(set.pyramid().dims().map(|n| n as f32 - 1.0));
+        Self { whole, pages: fields, set: Some(set), last }
+    }
+}
+
+impl<'a, T: Texels> Fields<'a, T> {
+    /// The field at lattice point `i` of a ray, and how far it reaches. `None` if the rest of the ray meets nothing.
+    /// Skips what cannot be seen, and tells the new point by `i`.
+    #[inline(always)]
+    pub(super) fn run(
+        &self,
+        ray: &VoxelRay,
+        lattice: Lattice,
+        i: &mut u32,
+        stride: u32,
+    ) -> Option<(&Field<'a, T>, Run)> {
+        let n = lattice.n;
+        let Some(set) = self.set else {
+            return (*i < n).then_some((&self.whole, Run { end: n, limit: n, pace: 1 }));
+        };
+        while *i < n {
+            // A step belongs to the page of its middle, so both ends are at most half a step outside.
+            let half = 0.5 * stride as f32;
+            let slot = self.slot(set, ray, lattice, *i as f32 + half);
+            let page = &set.pages()[slot];
+            let factor = set.pyramid().level(page.id).factor;
+            let cells = Vec3::from_array(factor.map(|f| (f * PAGE_CELLS) as f32));
+            let corner = Vec3::from_array(page.id.at.map(|at| at as f32)) * cells + 0.5;
+            let is_ascending = ray.dir.cmpgt(Vec3::ZERO);
+            // Pages at the volume's faces go on beyond it.
+            let is_last = (corner + cells).cmpgt(self.last + 0.5);
+            let is_first = corner.cmple(Vec3::splat(0.5));
+            let is_open = (is_ascending & is_last) | (!is_ascending & is_first);
+            let leaves = Vec3::select(is_ascending, corner + cells, corner);
+            let exit = (leaves - ray.origin) * ray.dir.recip();
+            let exit = Vec3::select(is_open, Vec3::splat(f32::INFINITY), exit).min_element();
+            let end = ((exit - lattice.s0) / lattice.h - half).ceil();
+            let end = if end < n as f32 { (end as u32).max(*i + 1) } else { n };
+            let field = &self.pages[slot];
+            let in_level = ray.dir * field.place.0;
+            let pace = ((ray.dir.length() / in_level.length()) * (1.0 + 1e-4)) as u32;
+            let pace = pace.max(1);
+            if !field.is_visible {
+                let step = stride.saturating_mul(pace);
+                *i = i.saturating_add((end - *i).div_ceil(step).saturating_mul(step)).min(n);
+                continue;
+            }
+            let is_same =
+                end >= n || self.pages[self.slot(set, ray, lattice, end as f32 + half)].level == field.level;
+            return Some((field, Run { end, limit: if is_same { n } else { end }, pace }));
+        }
+        None
+    }
+
+    /// The place in the set of the page at a place of the lattice, in steps.
+    #[inline(always)]
+    fn slot(&self, set: &PageSet, ray: &VoxelRay, lattice: Lattice, place: f32) -> usize {
+        let p = ray.origin + ray.dir * (lattice.s0 + place * lattice.h);
+        let index = (p - 0.5).max(Vec3::ZERO).min(self.last);
+        let grid = set.grid();
+        let place = index.to_array().map(|x| x as u32 / PAGE_CELLS);
+        set.slot(std::array::from_fn(|i| place[i].min(grid[i] - 1)))
+    }
+}

@@ -1,0 +1,154 @@
+//! A scene whose volume is read by pages.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::{Scene, modes};
+use crate::transfer::TransferTable;
+use crate::volume::{
+    Bricks, Detail, Lit, Occupancy, Page, PageId, PageSet, Volume, opacity_table, opacity_volume,
+};
+
+/// The pages of a scene, each under the scene's look.
+#[derive(Clone, Debug)]
+pub struct ScenePages {
+    /// The pages.
+    pub set: Arc<PageSet>,
+    /// What the look makes of each page, in the order of the set.
+    pub looks: Vec<Arc<PageLook>>,
+}
+
+/// A page under a look.
+#[derive(Debug)]
+pub struct PageLook {
+    /// Its bricks that the mode leaves visible.
+    pub occupancy: Occupancy,
+    /// Whether it has any.
+    pub is_visible: bool,
+    /// Brightness of its voxels.
+    lit: Option<Arc<Lit>>,
+    /// Whether the brightness is that of another look, until its own is there.
+    is_draft: bool,
+}
+
+impl PageLook {
+    /// The brightness of the voxels, if they are lit.
+    pub fn lit(&self) -> Option<&Lit> {
+        self.lit.as_deref()
+    }
+}
+
+impl ScenePages {
+    /// Whether every page is lit by the scene's own light.
+    pub fn is_final(&self) -> bool {
+        self.looks.iter().all(|look| !look.is_draft)
+    }
+}
+
+impl Scene {
+    /// The same scene, shown by pages. Its volume is the coarsest level of theirs. What is known of pages that the scene
+    /// has already is shared.
+    pub fn with_pages(&self, set: Arc<PageSet>) -> Self {
+        let mut scene = self.clone();
+        scene.pages = Some(scene.look_at(set, Some(self)));
+        scene
+    }
+
+    /// The pages under this scene's look. In a draft, pages keep the brightness that they have in `before`.
+    pub(super) fn look_at(&self, set: Arc<PageSet>, before: Option<&Self>) -> ScenePages {
+        let with_pages = before.and_then(|before| Some((before, before.pages.as_ref()?)));
+        let pages_before = with_pages.map(|(_, pages)| pages.set.pages().iter().zip(&pages.looks));
+        let known: HashMap<PageId, (&Arc<Page>, &Arc<PageLook>)> =
+            pages_before.into_iter().flatten().map(|(page, look)| (page.id, (page, look))).collect();
+        let is_alike = with_pages.is_some_and(|(before, _)| before.is_seen_like(self));
+        let is_lit_alike = with_pages.is_some_and(|(before, _)| before.is_lit_like(self));
+        let can_wait = self.settings.detail == Detail::Draft;
+        let look = |page: &Arc<Page>| {
+            let known =
+                known.get(&page.id).filter(|(known, _)| Arc::ptr_eq(known, page)).map(|(_, look)| *look);
+            if let Some(known) = known.filter(|known| is_alike && is_lit_alike && !known.is_draft) {
+                return known.clone();
+            }
+            let occupancy = match known.filter(|_| is_alike) {
+                Some(known) => known.occupancy.clone(),
+                None => self.occupancy_of(page),
+            };
+            let is_visible = !page.is_nothing && occupancy.words.iter().any(|word| has_zero_byte(*word));
+            let is_lit = self.illumination.lit().is_some();
+            let known = known.filter(|known| known.lit.is_some());
+            let (lit, is_draft) = match known {
+                _ if !is_lit => (None, false),
+                Some(known) if is_lit_alike && !known.is_draft => (known.lit.clone(), false),
+                Some(known) if can_wait => (known.lit.clone(), true),
+                // What nobody sees needs no light.
+                _ if !is_visible => (None, false),
+                _ => (self.light_of(page).map(Arc::new), false),
+            };
+            // A march of a lit scene expects light everywhere.
+            let is_visible = is_visible && (lit.is_some() || !is_lit);
+            Arc::new(PageLook { occupancy, is_visible, lit, is_draft })
+        };
+        let looks = set.pages().par_iter().map(look).collect();
+        ScenePages { set, looks }
+    }
+
+    /// The voxels in a page of the channel that is marched first.
+    pub(super) fn first_of_page<'a>(&self, page: &'a Page) -> &'a Volume {
+        self.channel_of_page(page, self.first_channel)
+    }
+
+    /// The voxels in a page of all channels that are mixed, in their order.
+    pub(super) fn channels_of_page<'a>(&'a self, page: &'a Page) -> impl Iterator<Item = &'a Volume> {
+        let others = self.others.iter().map(|other| other.channel);
+        let channels = std::iter::once(self.first_channel).chain(others).filter(|_| self.is_mixed());
+        channels.map(|channel| self.channel_of_page(page, channel))
+    }
+
+    fn channel_of_page<'a>(&self, page: &'a Page, channel: usize) -> &'a Volume {
+        channel.checked_sub(1).and_then(|i| page.volume.others().get(i)).map_or(&page.volume, |other| other)
+    }
+
+    fn tables(&self) -> impl Iterator<Item = (usize, &TransferTable)> {
+        let others = self.others.iter().map(|other| (other.channel, &other.table));
+        std::iter::once((self.first_channel, &self.table)).chain(others)
+    }
+
+    fn occupancy_of(&self, page: &Page) -> Occupancy {
+        if self.is_mixed() {
+            let all: Vec<_> = self.tables().map(|(channel, table)| (&page.bricks[channel], table)).collect();
+            return Bricks::occupancy_of_channels(&all);
+        }
+        let bricks = &page.bricks[self.first_channel];
+        modes::occupancy(bricks, self.settings.mode, &self.table, &self.surfaces)
+    }
+
+    fn light_of(&self, page: &Page) -> Option<Lit> {
+        if !self.is_mixed() {
+            return self.illumination.of_page(self.first_of_page(page), &self.table);
+        }
+        let all: Vec<_> = self.tables().map(|(i, table)| (self.channel_of_page(page, i), table)).collect();
+        let opacities = opacity_volume(&all, self.blend)?;
+        self.illumination.of_page(&opacities, &opacity_table(&opacities))
+    }
+
+    fn is_seen_like(&self, other: &Self) -> bool {
+        (self.settings.mode, self.first_channel, &self.surfaces, self.blend)
+            == (other.settings.mode, other.first_channel, &other.surfaces, other.blend)
+            && self.tables().eq(other.tables())
+    }
+
+    /// Whether a page is as bright in both: the same inputs made the brightness of the coarsest level.
+    fn is_lit_like(&self, other: &Self) -> bool {
+        match (self.illumination.lit(), other.illumination.lit()) {
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+            (a, b) => a.is_none() && b.is_none(),
+        }
+    }
+}
+
+/// Whether one of the four bytes of a word is 0.
+fn has_zero_byte(word: u32) -> bool {
+    word.to_le_bytes().contains(&0)
+}

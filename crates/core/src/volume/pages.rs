@@ -1,0 +1,176 @@
+//! Pages in memory, and which of them shows each part of a volume.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::bricks::Bricks;
+use super::grid::{Volume, VolumeError, VolumeInfo, Voxels};
+use super::pyramid::{Finest, PAGE_POINTS, PageId, PageVoxels, Pyramid};
+
+/// A page in memory, with all channels.
+#[derive(Debug)]
+pub struct Page {
+    /// Which one it is.
+    pub id: PageId,
+    /// Its voxels, [`PAGE_POINTS`] along each axis. It lies in the world where it belongs ([`Volume::voxel_origin`]).
+    pub volume: Volume,
+    /// Minima and maxima of each channel.
+    pub bricks: Vec<Bricks>,
+    /// Whether it has nothing anywhere.
+    pub is_nothing: bool,
+}
+
+impl Page {
+    /// A page of the voxels of each channel.
+    ///
+    /// # Errors
+    /// If the voxels are not those of a page, or have no finite meaning.
+    pub fn new(pyramid: &Pyramid, id: PageId, channels: Vec<PageVoxels>) -> Result<Self, VolumeError> {
+        let is_nothing =
+            channels.first().is_some_and(|c| c.gaps.as_ref().is_some_and(|g| g.iter().all(|gap| *gap != 0)));
+        let mut volumes = Vec::new();
+        for (channel, PageVoxels { voxels, gaps }) in channels.into_iter().enumerate() {
+            volumes.push(pyramid.page_volume(id, channel, voxels, gaps)?);
+        }
+        let bricks = volumes.iter().map(Bricks::of).collect();
+        let mut volumes = volumes.into_iter();
+        let first = volumes.next().ok_or(VolumeError::Count { dims: [0; 3], expected: 1, found: 0 })?;
+        let volume = first.with_others(volumes.map(Arc::new).collect())?;
+        Ok(Self { id, volume, bricks, is_nothing })
+    }
+
+    /// Memory of the voxels of all channels and of their brightness, bytes.
+    pub fn num_bytes(&self) -> u64 {
+        self.volume.bytes_in_memory()
+    }
+}
+
+impl Pyramid {
+    fn page_volume(
+        &self,
+        id: PageId,
+        channel: usize,
+        voxels: Voxels,
+        gaps: Option<Vec<u8>>,
+    ) -> Result<Volume, VolumeError> {
+        let level = self.level(id);
+        let (first, factor) = (self.first_point(id), level.factor.map(|f| f as f32));
+        let place = |i: usize| level.first[i] + factor[i] * first[i] as f32;
+        let spacing = self.spacing * Vec3::from_array(factor);
+        let map = self.value_maps.get(channel).or(self.value_maps.first()).copied().unwrap_or((1.0, 0.0));
+        let info = VolumeInfo { are_labels: self.info.are_labels, ..VolumeInfo::default() };
+        let volume = Volume::new([PAGE_POINTS; 3], spacing, voxels, map, info)?;
+        let volume = match gaps {
+            Some(gaps) => volume.with_gaps(gaps),
+            None => volume,
+        };
+        let first = Vec3::from_array(std::array::from_fn(place));
+        let (dims, spacing, stored_range, histogram) = (self.dims(), self.spacing, None, None);
+        Ok(volume.with_finest(Finest { dims, spacing, first, stored_range, histogram }))
+    }
+
+    /// All pages of the coarsest level, cut from that level in memory.
+    ///
+    /// # Errors
+    /// If `base` is not that level.
+    pub fn base_pages(&self, base: &Volume) -> Result<Vec<Arc<Page>>, VolumeError> {
+        let last = self.levels.len().saturating_sub(1);
+        let dims = self.levels[last].dims;
+        if base.dims() != dims {
+            return Err(VolumeError::Channels(base.dims(), dims));
+        }
+        let [nx, ny, nz] = self.pages(last);
+        let places = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
+        let page = |at| {
+            let id = PageId { level: last as u8, at };
+            let channels = base.channels().map(|channel| page_of(channel, self.first_point(id)));
+            Page::new(self, id, channels.collect()).map(Arc::new)
+        };
+        places.map(page).collect()
+    }
+}
+
+/// The page of a volume from a voxel on.
+pub fn page_of(volume: &Volume, first: [u32; 3]) -> PageVoxels {
+    let (dims, side) = (volume.dims(), PAGE_POINTS as usize);
+    let voxels = match volume.voxels() {
+        Voxels::U8(v) => Voxels::U8(cut(v, dims, first, side)),
+        Voxels::U16(v) => Voxels::U16(cut(v, dims, first, side)),
+        Voxels::F32(v) => Voxels::F32(cut(v, dims, first, side)),
+    };
+    let gaps = volume.gaps().map(|gaps| cut(&gaps.bytes, dims, first, side));
+    PageVoxels { voxels, gaps: gaps.filter(|gaps| gaps.iter().any(|gap| *gap != 0)) }
+}
+
+/// A cube of `side` texels of a grid from `first` on. Beyond the grid its last texels repeat.
+fn cut<T: Copy>(texels: &[T], dims: [u32; 3], first: [u32; 3], side: usize) -> Vec<T> {
+    let at = |axis: usize, i: usize| (first[axis] as usize + i).min(dims[axis] as usize - 1);
+    let mut out = Vec::with_capacity(side * side * side);
+    for (z, y) in (0..side).flat_map(|z| (0..side).map(move |y| (z, y))) {
+        let row = (at(2, z) * dims[1] as usize + at(1, y)) * dims[0] as usize;
+        out.extend((0..side).map(|x| texels[row + at(0, x)]));
+    }
+    out
+}
+
+/// The pages that stand for the parts of a volume: for each the finest one that is there.
+#[derive(Debug)]
+pub struct PageSet {
+    pyramid: Arc<Pyramid>,
+    /// Pages of the finest level along x, y, z.
+    grid: [u32; 3],
+    /// For each page of the finest level, x fastest, the place in `pages` of the one that stands for it.
+    table: Vec<u32>,
+    pages: Vec<Arc<Page>>,
+}
+
+impl PageSet {
+    /// The set of some pages, of which those stand for their parts that `is_shown`: among them all of the coarsest
+    /// level.
+    pub fn new(pyramid: Arc<Pyramid>, mut pages: Vec<Arc<Page>>, is_shown: impl Fn(PageId) -> bool) -> Self {
+        // Finer pages come last and win.
+        pages.sort_by(|a, b| (b.id.level, b.id.at).cmp(&(a.id.level, a.id.at)));
+        let grid = pyramid.pages(0);
+        let mut table = vec![0; grid.iter().map(|n| *n as usize).product()];
+        for (slot, page) in pages.iter().enumerate().filter(|(_, page)| is_shown(page.id)) {
+            let factor = pyramid.level(page.id).factor;
+            let span = |i: usize| {
+                let start = (page.id.at[i] * factor[i]).min(grid[i]);
+                start as usize..((page.id.at[i] + 1) * factor[i]).min(grid[i]) as usize
+            };
+            for (z, y) in span(2).flat_map(|z| span(1).map(move |y| (z, y))) {
+                let row = (z * grid[1] as usize + y) * grid[0] as usize;
+                table[row + span(0).start..row + span(0).end].fill(slot as u32);
+            }
+        }
+        Self { pyramid, grid, table, pages }
+    }
+
+    /// The levels.
+    pub fn pyramid(&self) -> &Arc<Pyramid> {
+        &self.pyramid
+    }
+
+    /// The pages, coarser ones first.
+    pub fn pages(&self) -> &[Arc<Page>] {
+        &self.pages
+    }
+
+    /// Pages of the finest level along x, y, z.
+    pub fn grid(&self) -> [u32; 3] {
+        self.grid
+    }
+
+    /// For each page of the finest level, x fastest, the place in [`Self::pages`] of the one that stands for it.
+    pub fn table(&self) -> &[u32] {
+        &self.table
+    }
+
+    /// The place in [`Self::pages`] of the page that stands for a page of the finest level, which must exist.
+    #[inline]
+    pub fn slot(&self, [x, y, z]: [u32; 3]) -> usize {
+        self.table[((z as usize * self.grid[1] as usize) + y as usize) * self.grid[0] as usize + x as usize]
+            as usize
+    }
+}

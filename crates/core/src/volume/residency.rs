@@ -1,0 +1,450 @@
+//! Which pages of a large volume are wanted, which are in memory, and which are read next. It reads nothing itself.
+//!
+//! A viewer's *plan* refines the volume page by page, where a voxel is largest on the screen first, until its share of
+//! the memory is full. A plan depends on the pose, the look and the memory only. So what is shown at rest depends on
+//! nothing else, however the pages arrive. While the camera moves, a plan ends where a voxel is a pixel.
+
+use std::collections::{BinaryHeap, HashMap, HashSet};
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::pages::{Page, PageSet};
+use super::pyramid::{PAGE_CELLS, PageId, Pyramid};
+use crate::camera::Camera;
+use crate::clip::Region;
+use crate::space::Aabb;
+
+/// What a viewer looks at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PageView {
+    /// The camera of its frames.
+    pub camera: Camera,
+    /// The visible part of the volume.
+    pub region: Region,
+    /// Whether the camera rests.
+    pub rests: bool,
+}
+
+/// The pages for a view.
+#[derive(Clone, Debug, Default)]
+pub struct PagePlan {
+    /// The pages in the order in which they are read. Each follows a coarser one that it replaces.
+    steps: Vec<PageId>,
+    /// Those that nothing finer replaces.
+    leaves: HashSet<PageId>,
+    /// For each step that finer pages replace, these.
+    parts: HashMap<PageId, Vec<PageId>>,
+    /// Share of the view that the finest level does not fill for lack of memory, 0 to 1.
+    coarse_share: f32,
+    /// Whether the camera rests.
+    rests: bool,
+}
+
+/// How far a view is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PageProgress {
+    /// Pages that the view wants.
+    pub num_wanted: u32,
+    /// Those that are in memory.
+    pub num_resident: u32,
+    /// Those that cannot be read.
+    pub num_damaged: u32,
+    /// Share of the view that is coarser than the finest level because there is no memory, 0 to 1.
+    pub coarse_share: f32,
+}
+
+impl PageProgress {
+    /// Whether pages are still to come.
+    pub fn is_loading(&self) -> bool {
+        self.num_resident + self.num_damaged < self.num_wanted
+    }
+
+    /// Whether the picture is that of the finest level.
+    pub fn is_exact(&self) -> bool {
+        !self.is_loading() && self.num_damaged == 0 && self.coarse_share == 0.0
+    }
+}
+
+/// A page in the making of a plan, by the size of its voxels on the screen.
+struct Candidate {
+    pixels: f32,
+    id: PageId,
+}
+
+impl PartialEq for Candidate {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Candidate {}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.pixels.total_cmp(&other.pixels).then_with(|| other.id.cmp(&self.id))
+    }
+}
+
+impl PagePlan {
+    /// The plan for a view with memory for so many pages beside those of the coarsest level. `is_visible` says whether
+    /// anything of a page may be seen; it errs on the side of yes.
+    pub fn of(
+        pyramid: &Pyramid,
+        view: &PageView,
+        max_pages: usize,
+        is_visible: impl Fn(PageId) -> bool,
+    ) -> Self {
+        let screen = Screen::of(pyramid, view);
+        let last = pyramid.levels.len().saturating_sub(1) as u8;
+        let mut plan = Self { rests: view.rests, ..Self::default() };
+        let mut heap = BinaryHeap::new();
+        let offer = |heap: &mut BinaryHeap<Candidate>, id: PageId| {
+            let pixels = screen.pixels(id);
+            heap.push(Candidate { pixels, id });
+        };
+        for id in places([0; 3], pyramid.pages(usize::from(last))).map(|at| PageId { level: last, at }) {
+            if screen.sees(id) && is_visible(id) {
+                offer(&mut heap, id);
+            }
+        }
+        let enough = if view.rests { 0.0 } else { PIXELS_IN_MOTION };
+        let (mut num_pages, mut coarse, mut all) = (0, 0.0, 0.0);
+        while let Some(Candidate { pixels, id }) = heap.pop() {
+            let Some(level) = id.level.checked_sub(1) else {
+                all += screen.share(id);
+                continue;
+            };
+            if pixels <= enough {
+                all += screen.share(id);
+                continue;
+            }
+            let finer = parts(pyramid, id, level).filter(|id| screen.sees(*id) && is_visible(*id));
+            let finer: Vec<PageId> = finer.collect();
+            // The page that they replace is free once they are there.
+            let freed = usize::from(id.level != last);
+            if num_pages + finer.len() > max_pages + freed {
+                coarse += screen.share(id);
+                all += screen.share(id);
+                continue;
+            }
+            num_pages = num_pages + finer.len() - freed;
+            plan.leaves.remove(&id);
+            for finer in &finer {
+                plan.steps.push(*finer);
+                plan.leaves.insert(*finer);
+                offer(&mut heap, *finer);
+            }
+            plan.parts.insert(id, finer);
+        }
+        plan.coarse_share = if all > 0.0 { coarse / all } else { 0.0 };
+        plan
+    }
+
+    /// The pages that the view wants in the end.
+    pub fn leaves(&self) -> &HashSet<PageId> {
+        &self.leaves
+    }
+}
+
+/// The camera over the finest level's indices.
+struct Screen<'a> {
+    pyramid: &'a Pyramid,
+    view: &'a PageView,
+    /// Inward normals and offsets of the sides of the picture.
+    sides: Vec<(Vec3, f32)>,
+    /// Pixels of a world unit at distance 1, or at any distance.
+    pixels_per_unit: f32,
+}
+
+impl<'a> Screen<'a> {
+    fn of(pyramid: &'a Pyramid, view: &'a PageView) -> Self {
+        let camera = &view.camera;
+        let size = camera.intrinsics;
+        let (width, height) = (size.width as f32, size.height as f32);
+        let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];
+        let rays = corners.map(|[x, y]| camera.ray(x, y).0);
+        let (middle, _) = camera.ray(0.5 * width, 0.5 * height);
+        let inside = middle.origin + middle.dir * camera.far.max(1.0);
+        let mut sides = Vec::new();
+        for i in 0..4 {
+            let (a, b) = (rays[i], rays[(i + 1) % 4]);
+            let far = b.origin + b.dir * camera.far;
+            let normal = a.dir.cross(far - a.origin).normalize_or_zero();
+            let offset = normal.dot(a.origin);
+            let turn = if normal.dot(inside) < offset { -1.0 } else { 1.0 };
+            sides.push((normal * turn, offset * turn));
+        }
+        let forward = middle.dir;
+        sides.push((forward, forward.dot(middle.origin) - size_of(pyramid) * BEHIND));
+        let apart = {
+            let (a, b) =
+                (camera.ray(0.5 * width, 0.5 * height).0, camera.ray(0.5 * width + 1.0, 0.5 * height).0);
+            if size.projection.is_orthographic() {
+                a.origin.distance(b.origin)
+            } else {
+                a.dir.distance(b.dir)
+            }
+        };
+        Self { pyramid, view, sides, pixels_per_unit: 1.0 / apart.max(f32::MIN_POSITIVE) }
+    }
+
+    /// The box of a page, world space.
+    fn bounds(&self, id: PageId) -> Aabb {
+        let factor = self.pyramid.level(id).factor;
+        let dims = self.pyramid.dims();
+        let edge = |i: usize, at: u32| {
+            let index = (u64::from(at) * u64::from(factor[i] * PAGE_CELLS)) as f32;
+            (index.min(dims[i] as f32 - 1.0) + 0.5 - 0.5 * dims[i] as f32) * self.pyramid.spacing[i]
+        };
+        // Half a voxel more: the outermost pages go on to the faces, and steps begin before their page.
+        let more = self.pyramid.spacing;
+        Aabb {
+            min: Vec3::from_array(std::array::from_fn(|i| edge(i, id.at[i]))) - more,
+            max: Vec3::from_array(std::array::from_fn(|i| edge(i, id.at[i] + 1))) + more,
+        }
+    }
+
+    /// Whether anything of a page's box may be in the picture.
+    fn sees(&self, id: PageId) -> bool {
+        let bounds = self.bounds(id);
+        let Region { bounds: region, normal, offset } = &self.view.region;
+        let meets = bounds.min.cmple(region.max).all() && region.min.cmple(bounds.max).all();
+        let half = (bounds.max - bounds.min) * 0.5;
+        let center = bounds.center();
+        let is_inside = |normal: Vec3, offset: f32| normal.dot(center) + normal.abs().dot(half) >= offset;
+        meets
+            && is_inside(*normal, *offset)
+            && self.sides.iter().all(|(normal, offset)| is_inside(*normal, *offset))
+    }
+
+    fn distance(&self, bounds: &Aabb) -> f32 {
+        let eye = self.view.camera.pose.eye;
+        eye.clamp(bounds.min, bounds.max).distance(eye)
+    }
+
+    /// Pixels of a voxel of a page on the screen, at its nearest point.
+    fn pixels(&self, id: PageId) -> f32 {
+        let factor = Vec3::from_array(self.pyramid.level(id).factor.map(|f| f as f32));
+        let voxel = (self.pyramid.spacing * factor).max_element();
+        if self.view.camera.intrinsics.projection.is_orthographic() {
+            return voxel * self.pixels_per_unit;
+        }
+        let near = self.pyramid.spacing.min_element();
+        voxel * self.pixels_per_unit / self.distance(&self.bounds(id)).max(near)
+    }
+
+    /// About the part of the picture that a page fills, in no unit.
+    fn share(&self, id: PageId) -> f32 {
+        let bounds = self.bounds(id);
+        let side = (bounds.max - bounds.min).length();
+        if self.view.camera.intrinsics.projection.is_orthographic() {
+            return side * side;
+        }
+        let relative = side / self.distance(&bounds).max(side);
+        relative * relative
+    }
+}
+
+fn size_of(pyramid: &Pyramid) -> f32 {
+    let dims = pyramid.dims().map(|d| d as f32);
+    (Vec3::from_array(dims) * pyramid.spacing).length()
+}
+
+/// The pages of a finer level within a page.
+fn parts(pyramid: &Pyramid, id: PageId, level: u8) -> impl Iterator<Item = PageId> {
+    let (coarse, fine) = (pyramid.level(id).factor, pyramid.levels[usize::from(level)].factor);
+    let most = pyramid.pages(usize::from(level));
+    let first = std::array::from_fn(|i| id.at[i] * (coarse[i] / fine[i]));
+    let end = std::array::from_fn(|i| ((id.at[i] + 1) * (coarse[i] / fine[i])).min(most[i]));
+    places(first, end).map(move |at| PageId { level, at })
+}
+
+/// All places of a box of the grid.
+fn places(first: [u32; 3], end: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
+    let [xs, ys, zs] = [0, 1, 2].map(|i| first[i]..end[i]);
+    zs.flat_map(move |z| {
+        let xs = xs.clone();
+        ys.clone().flat_map(move |y| xs.clone().map(move |x| [x, y, z]))
+    })
+}
+
+/// A viewer, by any number.
+pub type PlanKey = u64;
+
+/// The pages in memory and the plans of all viewers.
+#[derive(Debug)]
+pub struct Residency {
+    pyramid: Arc<Pyramid>,
+    base: Vec<Arc<Page>>,
+    resident: HashMap<PageId, Arc<Page>>,
+    reading: HashSet<PageId>,
+    /// Failures of each page so far; those that make no sense have [`TRIES`].
+    failed: HashMap<PageId, u8>,
+    plans: Vec<(PlanKey, PagePlan)>,
+    max_pages: usize,
+    /// Which viewer's page is read next.
+    turn: usize,
+    /// See [`Self::version`].
+    version: u64,
+}
+
+impl Residency {
+    /// Begins with the pages of the coarsest level, and memory for so many others.
+    pub fn new(pyramid: Arc<Pyramid>, base: Vec<Arc<Page>>, max_pages: usize) -> Self {
+        let (resident, reading, failed) = Default::default();
+        Self { pyramid, base, resident, reading, failed, plans: Vec::new(), max_pages, turn: 0, version: 0 }
+    }
+
+    /// The levels.
+    pub fn pyramid(&self) -> &Arc<Pyramid> {
+        &self.pyramid
+    }
+
+    /// Pages that one more viewer's plan may take.
+    pub fn share(&self, key: PlanKey) -> usize {
+        let others = self.plans.iter().filter(|(known, _)| *known != key).count();
+        // While a page is replaced, it and its parts are in memory.
+        (self.max_pages / (others + 1)).saturating_sub(SLACK)
+    }
+
+    /// A viewer has another plan.
+    pub fn set_plan(&mut self, key: PlanKey, plan: PagePlan) {
+        match self.plans.iter_mut().find(|(known, _)| *known == key) {
+            Some((_, before)) => *before = plan,
+            None => self.plans.push((key, plan)),
+        }
+        self.evict();
+    }
+
+    /// A viewer has left.
+    pub fn forget(&mut self, key: PlanKey) {
+        self.plans.retain(|(known, _)| *known != key);
+    }
+
+    /// The page to read next. It counts as being read until `insert` or `fail`.
+    pub fn next(&mut self) -> Option<PageId> {
+        if self.resident.len() + self.reading.len() >= self.max_pages {
+            return None;
+        }
+        let num = self.plans.len();
+        for i in 0..num {
+            let place = (self.turn + i) % num;
+            let found =
+                self.plans[place].1.steps.iter().find(|id| self.is_missing(&self.plans[place].1, **id));
+            if let Some(id) = found.copied() {
+                self.turn = (place + 1) % num;
+                self.reading.insert(id);
+                return Some(id);
+            }
+        }
+        None
+    }
+
+    /// Whether a step of a plan is still to be read: finer pages do not stand for it.
+    fn is_missing(&self, plan: &PagePlan, id: PageId) -> bool {
+        let is_open = !self.resident.contains_key(&id) && !self.reading.contains(&id) && !self.has_failed(id);
+        is_open && (plan.leaves.contains(&id) || !self.has_parts(plan, id))
+    }
+
+    fn has_failed(&self, id: PageId) -> bool {
+        self.failed.get(&id).is_some_and(|tries| *tries >= TRIES)
+    }
+
+    /// Whether finer pages fill all that a plan wants of a page.
+    fn has_parts(&self, plan: &PagePlan, id: PageId) -> bool {
+        let filled = |id: &PageId| self.resident.contains_key(id) || self.has_parts(plan, *id);
+        plan.parts.get(&id).is_some_and(|parts| parts.iter().all(filled))
+    }
+
+    /// A page was read.
+    pub fn insert(&mut self, page: Arc<Page>) {
+        self.reading.remove(&page.id);
+        self.failed.remove(&page.id);
+        self.resident.insert(page.id, page);
+        self.version += 1;
+        self.evict();
+    }
+
+    /// A page could not be read. Whether it is given up: at once if trying again is of no use.
+    pub fn fail(&mut self, id: PageId, is_final: bool) -> bool {
+        self.reading.remove(&id);
+        let tries = self.failed.entry(id).or_default();
+        *tries = if is_final { TRIES } else { tries.saturating_add(1) };
+        *tries >= TRIES
+    }
+
+    /// Forgets pages that no viewer wants, and those that finer ones replace, as far as there is no room.
+    fn evict(&mut self) {
+        let num = self.resident.len() + self.reading.len();
+        if num + SLACK <= self.max_pages {
+            return;
+        }
+        let is_wanted = |id: &PageId| {
+            self.plans.iter().any(|(_, plan)| {
+                plan.leaves.contains(id) || (plan.parts.contains_key(id) && !self.has_parts(plan, *id))
+            })
+        };
+        let mut unwanted: Vec<PageId> = self.resident.keys().copied().filter(|id| !is_wanted(id)).collect();
+        // The finest ones go first, as coarser ones serve more. A few more go, so that not every page asks again.
+        unwanted.sort_unstable();
+        for id in unwanted.iter().take((num + 2 * SLACK).saturating_sub(self.max_pages)) {
+            self.resident.remove(id);
+            self.version += 1;
+        }
+    }
+
+    /// The pages to show to a viewer. At rest they are those of its plan alone, whatever else is in memory.
+    pub fn set(&self, key: PlanKey) -> PageSet {
+        let plan = self.plans.iter().find(|(known, _)| *known == key).map(|(_, plan)| plan);
+        let is_shown = |id: PageId| {
+            let is_base = usize::from(id.level) + 1 == self.pyramid.levels.len();
+            is_base
+                || plan.is_none_or(|plan| {
+                    !plan.rests || plan.leaves.contains(&id) || plan.parts.contains_key(&id)
+                })
+        };
+        let pages = self.base.iter().chain(self.resident.values()).cloned().collect();
+        PageSet::new(self.pyramid.clone(), pages, is_shown)
+    }
+
+    /// Changes whenever a page comes or goes.
+    pub fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// How far a viewer's plan is.
+    pub fn progress(&self, key: PlanKey) -> PageProgress {
+        let Some((_, plan)) = self.plans.iter().find(|(known, _)| *known == key) else {
+            return PageProgress::default();
+        };
+        let count =
+            |is_so: &dyn Fn(&PageId) -> bool| plan.leaves.iter().filter(|id| is_so(id)).count() as u32;
+        PageProgress {
+            num_wanted: plan.leaves.len() as u32,
+            num_resident: count(&|id| self.resident.contains_key(id)),
+            num_damaged: count(&|id| !self.resident.contains_key(id) && self.has_failed(*id)),
+            coarse_share: plan.coarse_share,
+        }
+    }
+
+    /// Pages in memory, and those that are being read.
+    pub fn num_pages(&self) -> usize {
+        self.resident.len() + self.reading.len()
+    }
+}
+
+/// While the camera moves, voxels need not be smaller on the screen.
+const PIXELS_IN_MOTION: f32 = 1.0;
+/// How far behind the eye a page may lie, in sizes of the volume: boxes are tested by their nearest corners.
+const BEHIND: f32 = 1e-3;
+/// Pages that are in memory while others replace them: the parts of one page over two levels.
+const SLACK: usize = 64;
+/// Times that a page is read before it is given up.
+pub const TRIES: u8 = 3;

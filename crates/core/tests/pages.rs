@@ -1,0 +1,333 @@
+//! Is a volume that is read by pages the same volume? Full pages of the finest level are it to the bit, coarser ones are
+//! near, and levels of a pyramid have one look.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::channels::{Blend, ChannelLook, Channels};
+use isinglass_core::clip::{Clip, Plane};
+use isinglass_core::image_error::compare;
+use isinglass_core::kernels::layering::generate;
+use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::layer::FrameHeader;
+use isinglass_core::mode::Mode;
+use isinglass_core::picture::Picture;
+use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
+use isinglass_core::volume::{
+    Finest, Histogram, Lighting, Page, PageId, PageSet, Pyramid, PyramidLevel, Volume, VolumeInfo, VoxelKind,
+    Voxels, page_of,
+};
+
+/// Waves and balls: nothing is flat or symmetric.
+fn stored(x: f32, y: f32, z: f32) -> f32 {
+    let wave = (0.11 * x).sin() + (0.07 * y + 0.4).cos() + (0.13 * z + 0.2 * x.sqrt()).sin();
+    let ball = (18.0 - (x - 70.0).hypot(y - 40.0).hypot(z - 30.0)).clamp(0.0, 6.0) * 20.0;
+    (60.0 + 30.0 * wave + ball).clamp(0.0, 255.0)
+}
+
+fn voxels(dims: [u32; 3], kind: VoxelKind) -> Voxels {
+    let [nx, ny, nz] = dims;
+    let at = move |i: u32| stored((i % nx) as f32, (i / nx % ny) as f32, (i / nx / ny) as f32);
+    let all = 0..nx * ny * nz;
+    match kind {
+        VoxelKind::U8 => Voxels::U8(all.map(|i| at(i) as u8).collect()),
+        VoxelKind::U16 => Voxels::U16(all.map(|i| (at(i) * 250.0) as u16).collect()),
+        VoxelKind::F32 => Voxels::F32(all.map(|i| at(i) - 100.0).collect()),
+    }
+}
+
+fn volume_of(dims: [u32; 3], spacing: Vec3, kind: VoxelKind) -> Volume {
+    Volume::new(dims, spacing, voxels(dims, kind), (1.0, 0.0), VolumeInfo::default()).unwrap()
+}
+
+/// The means of blocks of a level-0 volume: the level with these factors.
+fn coarser(volume: &Volume, factor: [u32; 3]) -> Volume {
+    let dims: [u32; 3] = std::array::from_fn(|i| volume.dims()[i].div_ceil(factor[i]));
+    let [nx, ny, nz] = dims;
+    let mean = |i: u32| {
+        let at = [i % nx, i / nx % ny, i / nx / ny];
+        let (mut sum, mut num) = (0.0, 0.0);
+        for dz in 0..factor[2] {
+            for dy in 0..factor[1] {
+                for dx in 0..factor[0] {
+                    let p: [u32; 3] = std::array::from_fn(|k| at[k] * factor[k] + [dx, dy, dz][k]);
+                    if (0..3).all(|k| p[k] < volume.dims()[k]) {
+                        sum += f64::from(volume.stored_at(p[0] as i32, p[1] as i32, p[2] as i32));
+                        num += 1.0;
+                    }
+                }
+            }
+        }
+        sum / num
+    };
+    let all = 0..nx * ny * nz;
+    let voxels = match volume.voxels() {
+        Voxels::U8(_) => Voxels::U8(all.map(|i| mean(i).round() as u8).collect()),
+        Voxels::U16(_) => Voxels::U16(all.map(|i| mean(i).round() as u16).collect()),
+        Voxels::F32(_) => Voxels::F32(all.map(|i| mean(i) as f32).collect()),
+    };
+    let spacing = volume.spacing() * Vec3::from_array(factor.map(|f| f as f32));
+    Volume::new(dims, spacing, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap()
+}
+
+fn first_of(factor: [u32; 3]) -> [f32; 3] {
+    factor.map(|f| (f as f32 - 1.0) * 0.5)
+}
+
+fn pinned(volume: Volume, whole: &Volume, factor: [u32; 3]) -> Volume {
+    volume.with_finest(Finest {
+        dims: whole.dims(),
+        spacing: whole.spacing(),
+        first: first_of(factor).into(),
+        stored_range: Some(whole.stored_range()),
+        histogram: Some(Arc::new(Histogram::of(whole))),
+    })
+}
+
+/// A pyramid in memory: all its levels.
+struct Levels {
+    pyramid: Arc<Pyramid>,
+    volumes: Vec<Volume>,
+}
+
+impl Levels {
+    fn of(whole: &Volume, factors: &[[u32; 3]]) -> Self {
+        let kind = match whole.voxels() {
+            Voxels::U8(_) => VoxelKind::U8,
+            Voxels::U16(_) => VoxelKind::U16,
+            Voxels::F32(_) => VoxelKind::F32,
+        };
+        let level_of = |factor: &[u32; 3]| {
+            let level = |channel: &Volume| pinned(coarser(channel, *factor), channel, *factor);
+            let others = whole.others().iter().map(|other| Arc::new(level(other))).collect();
+            level(whole).with_others(others).unwrap()
+        };
+        let volumes: Vec<Volume> = factors.iter().map(level_of).collect();
+        let levels = factors.iter().zip(&volumes);
+        let levels =
+            levels.map(|(f, v)| PyramidLevel { dims: v.dims(), factor: *f, first: first_of(*f) }).collect();
+        let (spacing, info) = (whole.spacing(), VolumeInfo::default());
+        let pyramid = Pyramid { levels, spacing, kind, value_maps: vec![(1.0, 0.0)], info };
+        Self { pyramid: Arc::new(pyramid), volumes }
+    }
+
+    fn page(&self, id: PageId) -> Arc<Page> {
+        let volume = &self.volumes[usize::from(id.level)];
+        let first = self.pyramid.first_point(id);
+        let channels = volume.channels().map(|channel| page_of(channel, first)).collect();
+        Arc::new(Page::new(&self.pyramid, id, channels).unwrap())
+    }
+
+    fn base(&self) -> Volume {
+        self.volumes.last().unwrap().clone()
+    }
+
+    /// All pages of the coarsest level and those that `is_there`.
+    fn set(&self, is_there: impl Fn(PageId) -> bool) -> Arc<PageSet> {
+        let mut pages = self.pyramid.base_pages(&self.base()).unwrap();
+        for level in 0..self.pyramid.levels.len() - 1 {
+            let [nx, ny, nz] = self.pyramid.pages(level);
+            for i in 0..nx * ny * nz {
+                let id = PageId { level: level as u8, at: [i % nx, i / nx % ny, i / nx / ny] };
+                if is_there(id) {
+                    pages.push(self.page(id));
+                }
+            }
+        }
+        Arc::new(PageSet::new(self.pyramid.clone(), pages, |_| true))
+    }
+}
+
+fn transfer() -> TransferFunction {
+    let p = |x, color, opacity| ControlPoint { x, color, opacity };
+    TransferFunction {
+        name: "test".into(),
+        domain: Domain::Full,
+        unit_length: UnitLength::Voxel,
+        points: vec![
+            p(0.0, [0.1, 0.2, 1.0], 0.0),
+            p(0.35, [0.2, 0.4, 1.0], 0.0),
+            p(0.5, [0.3, 0.9, 0.5], 0.03),
+            p(0.8, [1.0, 0.7, 0.3], 0.3),
+        ],
+    }
+}
+
+fn settings(mode: Mode, lighting: Lighting) -> MarchSettings {
+    MarchSettings { mode, ..MarchSettings::of(true, lighting) }
+}
+
+fn cameras(scene: &Scene) -> Vec<Camera> {
+    let bounds = scene.volume.bounds();
+    let radius = bounds.radius();
+    let orbit = |distance: f32| Pose::orbit(bounds.center(), 0.7, 0.4, distance * radius);
+    vec![
+        Camera::new(orbit(2.4), Intrinsics::perspective(48, 40, 0.7), &bounds),
+        // From inside.
+        Camera::new(orbit(0.2), Intrinsics::perspective(40, 30, 1.1), &bounds),
+        Camera::new(orbit(2.0), Intrinsics::orthographic(40, 30, 2.0 * radius), &bounds),
+    ]
+}
+
+fn psnr(a: &Picture, b: &Picture) -> f64 {
+    let bytes = |p: &Picture| p.to_srgb8([0.0; 3]);
+    let (width, height) = (a.width as usize, a.height as usize);
+    compare(&bytes(a), &bytes(b), width, height, [0; 3]).unwrap().psnr_db
+}
+
+/// Asserts that two pictures have the same bits.
+fn same(a: &Picture, b: &Picture, what: &str) {
+    let num = a.pixels.iter().zip(&b.pixels).filter(|(a, b)| a != b).count();
+    assert_eq!(num, 0, "{what}: {num} of {} pixels differ, {:.1} dB", a.pixels.len(), psnr(a, b));
+}
+
+/// Compares pictures and frames of a volume with its pages of the finest level, to the bit.
+fn agree(whole: &Volume, levels: &Levels, looks: &Channels, settings: MarchSettings) {
+    let scene = |v: Volume| Scene::with_channels(Arc::new(v), &transfer(), looks.clone(), settings);
+    let flat = &scene(whole.clone());
+    let finest = levels.set(|id| id.level == 0);
+    let base = scene(levels.base());
+    let paged = base.with_pages(finest);
+    for camera in cameras(flat) {
+        same(
+            &render(&paged, &camera),
+            &render(flat, &camera),
+            &format!("{:?} {:?}", settings.mode, camera.pose),
+        );
+        let header = FrameHeader::alone(camera, 4);
+        assert!(generate(&paged, header) == generate(flat, header));
+    }
+    if levels.volumes.len() == 1 {
+        return;
+    }
+    // Negative control: with one page of a coarser level the picture is another one.
+    let without = levels.set(|id| id.level == 0 && id.at != [1, 0, 0]);
+    let camera = cameras(flat)[0];
+    assert!(render(&base.with_pages(without), &camera).pixels != render(flat, &camera).pixels);
+}
+
+const DIMS: [u32; 3] = [141, 70, 66];
+
+#[test]
+fn all_pages_of_the_finest_level_are_the_volume() {
+    let spacing = Vec3::new(1.0, 1.3, 0.8);
+    let factors = [[1, 1, 1], [2, 2, 1], [4, 4, 2]];
+    let light = Lighting { specular: 0.5, shininess: 20.0, ..Lighting::default() };
+    for kind in [VoxelKind::U8, VoxelKind::U16, VoxelKind::F32] {
+        let whole = volume_of(DIMS, spacing, kind);
+        let levels = Levels::of(&whole, &factors);
+        agree(&whole, &levels, &Channels::default(), settings(Mode::Composite, light));
+    }
+    let whole = volume_of(DIMS, spacing, VoxelKind::U8);
+    let levels = Levels::of(&whole, &factors);
+    for mode in [Mode::Mip, Mode::MinIp, Mode::Iso] {
+        agree(&whole, &levels, &Channels::default(), settings(mode, Lighting::default()));
+    }
+    let plane = Plane::new(Vec3::new(0.3, 1.0, 0.2), -3.0);
+    let clip = Clip { plane, ..Clip::default() };
+    let clipped = MarchSettings { clip, ..settings(Mode::Composite, light) };
+    agree(&whole, &levels, &Channels::default(), clipped);
+    let unshaded = MarchSettings { shading: None, ..settings(Mode::Composite, Lighting::default()) };
+    agree(&whole, &levels, &Channels::default(), unshaded);
+}
+
+#[test]
+fn pages_of_several_channels_are_the_volume() {
+    let whole = volume_of(DIMS, Vec3::ONE, VoxelKind::U8);
+    let other = |i: u8| {
+        let Voxels::U8(v) = whole.voxels() else { panic!() };
+        let voxels = Voxels::U8(v.iter().map(|v| v.wrapping_mul(i).rotate_left(3)).collect());
+        Arc::new(Volume::new(DIMS, Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap())
+    };
+    let whole = whole.clone().with_others(vec![other(3), other(5)]).unwrap();
+    let levels = Levels::of(&whole, &[[1, 1, 1], [2, 2, 2]]);
+    let look = ChannelLook { transfer: transfer(), visibility: Default::default() };
+    for blend in [Blend::Additive, Blend::Over] {
+        let looks = Channels { blend, others: vec![look.clone(), look.clone()], ..Channels::default() };
+        agree(&whole, &levels, &looks, settings(Mode::Composite, Lighting::default()));
+        let looks = Channels { chosen: 2, ..looks };
+        agree(&whole, &levels, &looks, settings(Mode::Mip, Lighting::default()));
+    }
+}
+
+#[test]
+fn a_pyramid_of_one_level_has_the_same_shade() {
+    let whole = volume_of(DIMS, Vec3::ONE, VoxelKind::U8);
+    let levels = Levels::of(&whole, &[[1, 1, 1]]);
+    let light = Lighting { ambient_occlusion: 0.8, shadows: 0.6, ..Lighting::default() };
+    // The brightness of averages rests on the coarsest level, so only here it is the same.
+    agree(&whole, &levels, &Channels::default(), self::settings(Mode::Average, light));
+    let settings = settings(Mode::Composite, light);
+    let flat = Scene::new(Arc::new(whole), &transfer(), settings);
+    let paged = Scene::new(Arc::new(levels.base()), &transfer(), settings).with_pages(levels.set(|_| true));
+    for camera in cameras(&flat) {
+        same(&render(&paged, &camera), &render(&flat, &camera), "shade");
+    }
+    // Negative control: with other shade the picture is another one.
+    let dark = MarchSettings { lighting: Lighting { ambient_occlusion: 0.5, ..light }, ..settings };
+    let camera = cameras(&flat)[0];
+    let other = paged.with_look(&transfer(), dark);
+    assert!(other.is_final());
+    assert!(render(&other, &camera).pixels != render(&flat, &camera).pixels);
+}
+
+#[test]
+fn mixed_levels_are_near_and_have_no_seam() {
+    let whole = volume_of(DIMS, Vec3::ONE, VoxelKind::U8);
+    let levels = Levels::of(&whole, &[[1, 1, 1], [2, 2, 2], [4, 4, 4]]);
+    let settings = settings(Mode::Composite, Lighting::default());
+    let flat = Scene::new(Arc::new(whole), &transfer(), settings);
+    let base = Scene::new(Arc::new(levels.base()), &transfer(), settings);
+    let sets = [
+        levels.set(|id| id.level == 1),
+        levels.set(|id| id.level == 1 || id.at[0] == 1),
+        levels.set(|id| id.level == 1 || id.at[1] == 0),
+    ];
+    let camera = cameras(&flat)[0];
+    let exact = render(&flat, &camera);
+    let coarse = psnr(&render(&base.with_pages(levels.set(|_| false)), &camera), &exact);
+    let near: Vec<f64> =
+        sets.into_iter().map(|set| psnr(&render(&base.with_pages(set), &camera), &exact)).collect();
+    // A set that is finer in a part is no farther than one that is coarser everywhere.
+    assert!(near[0] > coarse + 2.0 && near[1] > near[0] && near[2] > near[0], "{coarse} {near:?}");
+}
+
+#[test]
+fn a_level_of_a_pyramid_looks_as_the_finest() {
+    let whole = volume_of([97, 80, 65], Vec3::new(1.0, 1.0, 2.0), VoxelKind::U8);
+    let settings = settings(Mode::Composite, Lighting::default());
+    let flat = Scene::new(Arc::new(whole.clone()), &transfer(), settings);
+    let camera = cameras(&flat)[0];
+    let exact = render(&flat, &camera);
+    for factor in [[2, 2, 1], [2, 2, 2], [4, 4, 2]] {
+        let level = coarser(&whole, factor);
+        let own = psnr(&render(&Scene::new(Arc::new(level.clone()), &transfer(), settings), &camera), &exact);
+        let level = pinned(level, &whole, factor);
+        let near = psnr(&render(&Scene::new(Arc::new(level), &transfer(), settings), &camera), &exact);
+        assert!(near > own + 3.0, "{factor:?}: {near} against {own}");
+    }
+}
+
+#[test]
+fn a_ramp_of_the_world_is_the_same_at_every_level() {
+    let (dims, spacing) = ([21, 18, 13], Vec3::new(0.5, 0.7, 1.1));
+    let slope = Vec3::new(3.0, -2.0, 4.0);
+    let [nx, ny, nz] = dims;
+    let at = |i: u32| slope.dot(Vec3::new((i % nx) as f32, (i / nx % ny) as f32, (i / nx / ny) as f32));
+    let voxels = Voxels::F32((0..nx * ny * nz).map(at).collect());
+    let whole = Volume::new(dims, spacing, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
+    for factor in [[2, 2, 1], [4, 2, 2]] {
+        let level = coarser(&whole, factor);
+        let right = pinned(level.clone(), &whole, factor);
+        let (mut worst, mut worst_of_own) = (0f32, 0f32);
+        for point in [Vec3::new(-1.0, 0.3, 0.4), Vec3::new(2.0, -1.0, -2.0), Vec3::new(0.1, 2.0, 1.0)] {
+            let exact = whole.value_between(point).unwrap();
+            worst = worst.max((right.value_between(point).unwrap() - exact).abs());
+            worst_of_own = worst_of_own.max((level.value_between(point).unwrap() - exact).abs());
+        }
+        // Without its place in the finest level, a level of odd sides is half a fine voxel aside.
+        assert!(worst < 1e-4 && worst_of_own > 0.5, "{factor:?}: {worst} {worst_of_own}");
+    }
+}
