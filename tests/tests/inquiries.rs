@@ -34,6 +34,7 @@ fn look() -> Look {
 
 fn serve(runtime: &Runtime, volume: &Arc<Volume>) -> RunningServer {
     let options = ServeOptions {
+        pages: None,
         volume: volume.clone(),
         look: look(),
         backend: Backend::Cpu,

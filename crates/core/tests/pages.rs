@@ -189,7 +189,7 @@ fn agree(whole: &Volume, levels: &Levels, looks: &Channels, settings: MarchSetti
     let flat = &scene(whole.clone());
     let finest = levels.set(|id| id.level == 0);
     let base = scene(levels.base());
-    let paged = base.with_pages(finest);
+    let paged = base.with_pages(finest, None);
     for camera in cameras(flat) {
         same(
             &render(&paged, &camera),
@@ -205,7 +205,7 @@ fn agree(whole: &Volume, levels: &Levels, looks: &Channels, settings: MarchSetti
     // Negative control: with one page of a coarser level the picture is another one.
     let without = levels.set(|id| id.level == 0 && id.at != [1, 0, 0]);
     let camera = cameras(flat)[0];
-    assert!(render(&base.with_pages(without), &camera).pixels != render(flat, &camera).pixels);
+    assert!(render(&base.with_pages(without, None), &camera).pixels != render(flat, &camera).pixels);
 }
 
 const DIMS: [u32; 3] = [141, 70, 66];
@@ -258,10 +258,11 @@ fn a_pyramid_of_one_level_has_the_same_shade() {
     let levels = Levels::of(&whole, &[[1, 1, 1]]);
     let light = Lighting { ambient_occlusion: 0.8, shadows: 0.6, ..Lighting::default() };
     // The brightness of averages rests on the coarsest level, so only here it is the same.
-    agree(&whole, &levels, &Channels::default(), self::settings(Mode::Average, light));
+    agree(&whole, &levels, &Channels::default(), settings(Mode::Average, light));
     let settings = settings(Mode::Composite, light);
     let flat = Scene::new(Arc::new(whole), &transfer(), settings);
-    let paged = Scene::new(Arc::new(levels.base()), &transfer(), settings).with_pages(levels.set(|_| true));
+    let paged =
+        Scene::new(Arc::new(levels.base()), &transfer(), settings).with_pages(levels.set(|_| true), None);
     for camera in cameras(&flat) {
         same(&render(&paged, &camera), &render(&flat, &camera), "shade");
     }
@@ -287,9 +288,9 @@ fn mixed_levels_are_near_and_have_no_seam() {
     ];
     let camera = cameras(&flat)[0];
     let exact = render(&flat, &camera);
-    let coarse = psnr(&render(&base.with_pages(levels.set(|_| false)), &camera), &exact);
+    let coarse = psnr(&render(&base.with_pages(levels.set(|_| false), None), &camera), &exact);
     let near: Vec<f64> =
-        sets.into_iter().map(|set| psnr(&render(&base.with_pages(set), &camera), &exact)).collect();
+        sets.into_iter().map(|set| psnr(&render(&base.with_pages(set, None), &camera), &exact)).collect();
     // A set that is finer in a part is no farther than one that is coarser everywhere.
     assert!(near[0] > coarse + 2.0 && near[1] > near[0] && near[2] > near[0], "{coarse} {near:?}");
 }

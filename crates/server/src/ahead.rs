@@ -8,6 +8,7 @@ use isinglass_core::look::Look;
 use isinglass_core::wire::{Choices, Part};
 
 use crate::frame_memory::{FrameMemory, Held};
+use crate::paging::Pager;
 
 /// A part that was read and can be shown at once.
 #[derive(Debug)]
@@ -17,11 +18,13 @@ pub(crate) struct Read {
     pub(crate) look: Look,
     /// What the file holds, and this part.
     pub(crate) parts: Choices,
+    /// Reads the pages, if the volume is read by pages.
+    pub(crate) pager: Option<Pager>,
 }
 
 impl Read {
     fn bytes(&self) -> u64 {
-        self.scene.whole().bytes_in_memory()
+        self.scene.whole().bytes_in_memory() + self.pager.as_ref().map_or(0, Pager::max_bytes)
     }
 }
 
@@ -199,7 +202,7 @@ mod tests {
         let transfer = isinglass_formats::load_transfer("shells").unwrap();
         let volume = Arc::new(Builtin::Shells.volume(8));
         let scene = Scene::new(volume, &transfer, MarchSettings::default());
-        Read { scene, look: Look::new(transfer), parts: choices(time) }
+        Read { scene, look: Look::new(transfer), parts: choices(time), pager: None }
     }
 
     fn times(ahead: &ReadAhead) -> Vec<u32> {

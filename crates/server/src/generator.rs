@@ -20,6 +20,7 @@ use crate::company::Company;
 use crate::counters::Counters;
 use crate::frame_memory::Held;
 use crate::lights::Lights;
+use crate::paging::{FramePages, Pager};
 use crate::render_thread::RenderThread;
 use crate::selection::SceneNumber;
 
@@ -44,6 +45,8 @@ pub(crate) struct Generated {
     pub(crate) is_draft: bool,
     /// The ambient occlusion of a frame that is no draft.
     pub(crate) occlusion: Option<Occlusion>,
+    /// The pages that it shows, of a volume that is read by pages.
+    pub(crate) pages: Option<FramePages>,
 }
 
 /// Whether a frame is still wanted. Clones share the answer.
@@ -101,6 +104,8 @@ pub(crate) struct FrameOrder {
     /// The ambient occlusion of this viewer's last frame that had all of its shade. A draft borrows it.
     pub(crate) near: Option<Occlusion>,
     pub(crate) header: FrameHeader,
+    /// Whether the camera rests, so that its pages are as fine as the memory allows.
+    pub(crate) rests: bool,
     /// The frame is made while this holds.
     pub(crate) wish: Wish,
     /// The memory that it may take while it is made.
@@ -129,6 +134,7 @@ pub(crate) struct Begun {
     pub(crate) is_draft: bool,
     /// Its ambient occlusion, unless it is a draft.
     pub(crate) occlusion: Option<Occlusion>,
+    pub(crate) pages: Option<FramePages>,
 }
 
 /// The next rows of a picture.
@@ -139,6 +145,8 @@ pub(crate) struct RowsJob {
     /// The scene with all of its shade, if it has any.
     pub(crate) lit: Option<Scene>,
     pub(crate) camera: Camera,
+    /// The pages of a volume that is read by pages; without them its coarsest level is shown.
+    pub(crate) pages: Option<FramePages>,
     pub(crate) first: u32,
     /// Pixels that take about [`ROWS_MICROS`]; `None` if that is not known yet.
     pub(crate) num_pixels: Option<u32>,
@@ -160,7 +168,7 @@ impl Generator {
         backend: &Backend,
         scene: Scene,
         look: Look,
-        lights: Lights,
+        (lights, pager): (Lights, Option<Pager>),
         after_work: AfterWork,
         counters: Counters,
     ) -> Result<Self, ServeError> {
@@ -171,6 +179,8 @@ impl Generator {
             look,
             scene: SceneNumber::default(),
             lights,
+            pager,
+            paged: None,
             after_work: after_work.clone(),
             company: company.clone(),
             counters: counters.clone(),
@@ -205,7 +215,7 @@ impl Generator {
         renderer: Renderer,
         look: Look,
         number: SceneNumber,
-        lights: Lights,
+        (lights, pager): (Lights, Option<Pager>),
     ) -> bool {
         let (reply, answer) = oneshot::channel();
         let state = Box::new(RenderThread {
@@ -213,6 +223,8 @@ impl Generator {
             look,
             scene: number,
             lights,
+            pager,
+            paged: None,
             after_work: self.after_work.clone(),
             company: self.company.clone(),
             counters: self.counters.clone(),
@@ -231,7 +243,7 @@ impl Generator {
         viewer: ViewerId,
         scene: SceneNumber,
         look: &Look,
-        lights: &Lights,
+        (lights, pages): (&Lights, Option<FramePages>),
         camera: Camera,
         background: Option<[f32; 3]>,
     ) -> Option<Result<Vec<u8>, GenerateError>> {
@@ -240,8 +252,8 @@ impl Generator {
         let (mut srgb, mut first, mut has_failed, mut num_pixels) = (Vec::new(), 0, false, None);
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();
-            let (look, lit) = (look.clone(), lit.clone());
-            let job = RowsJob { viewer, scene, look, lit, camera, first, num_pixels, reply };
+            let (look, lit, pages) = (look.clone(), lit.clone(), pages.clone());
+            let job = RowsJob { viewer, scene, look, lit, camera, pages, first, num_pixels, reply };
             self.jobs.send(Job::Rows(Box::new(job))).await.ok()?;
             match answer.await.ok()? {
                 Ok(Rows { picture: rows, micros }) => {

@@ -13,6 +13,7 @@ mod counters;
 mod frame_memory;
 mod generator;
 mod lights;
+mod paging;
 mod pipeline;
 mod render_thread;
 mod screenshots;
@@ -42,12 +43,15 @@ use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
 
 pub use counters::Counters;
+pub use paging::{FramePages, PagedVolume, Pager};
 pub use selection::{Loaded, Loader, Survey};
 
 /// Options of a server.
 pub struct ServeOptions {
-    /// The volume.
+    /// The volume; of one that is read by pages, its coarsest level.
     pub volume: Arc<Volume>,
+    /// The pages of a volume that does not fit into memory.
+    pub pages: Option<PagedVolume>,
     /// The first look of viewers; must be valid.
     pub look: Look,
     /// Where kernels run.
@@ -99,6 +103,9 @@ pub enum ServeError {
     /// There is no certificate.
     #[error(transparent)]
     Identity(#[from] isinglass_net::identity::IdentityError),
+    /// The pages and their coarsest level do not belong together.
+    #[error("cannot read this volume by pages: {0}")]
+    Pages(#[from] isinglass_core::volume::VolumeError),
     /// The thread of the renderer could not be started.
     #[error("cannot start the rendering thread: {0}")]
     Thread(std::io::Error),
@@ -145,20 +152,22 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningServer, ServeError> {
-    let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
-        options;
+    let ServeOptions { volume, pages, look, backend, listen, plan, max_viewers, .. } = options;
+    let ServeOptions { frame_memory, library, timing, .. } = options;
     let Timing { clock, after_work } = timing;
+    let pager = pages.map(|pages| Pager::start(pages, &volume)).transpose()?;
     let scene = Scene::of_look(volume, &look);
     let memory = FrameMemory::new(frame_memory);
     let ahead = ReadAhead::new(library.as_ref().map_or(0, |l| l.volume_memory), &memory);
     let (parts, loader) = library.map(|l| (l.parts, l.loader)).unzip();
-    let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts));
+    let present = Arc::new(Present::new(&scene, SceneNumber::default(), look.clone(), parts, pager));
     let options = isinglass_net::ServerOptions { max_viewers, clock };
     let server = Server::bind(listen, identity, options, present.greeting.clone())?;
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
     let counters = Counters::new(server.refusals());
     let lights = present.lights.clone();
-    let generator = Generator::start(&backend, scene, look, lights, after_work.clone(), counters.clone())?;
+    let of = (lights, present.pager.clone());
+    let generator = Generator::start(&backend, scene, look, of, after_work.clone(), counters.clone())?;
     let (commands, receiver) = mpsc::channel(1);
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);

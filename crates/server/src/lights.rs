@@ -18,6 +18,8 @@ pub(crate) struct Lights {
     /// Known scenes, the newest last.
     known: Arc<Mutex<Vec<(Look, Scene)>>>,
     turns: Arc<Semaphore>,
+    /// Whether the volume is read by pages, whose light takes a while.
+    is_paged: bool,
 }
 
 impl Lights {
@@ -27,12 +29,13 @@ impl Lights {
     }
 
     /// `scene` belongs to `look` and has all of its shade.
-    pub(crate) fn new(scene: &Scene, look: &Look) -> Self {
+    pub(crate) fn new(scene: &Scene, look: &Look, is_paged: bool) -> Self {
         let known = vec![(look.clone(), scene.clone())];
         Self {
             base: Arc::new(scene.clone()),
             known: Arc::new(Mutex::new(known)),
             turns: Arc::new(Semaphore::new(1)),
+            is_paged,
         }
     }
 
@@ -47,7 +50,7 @@ impl Lights {
 
     /// Whether all of a look's shade is there, or it has none.
     pub(crate) fn is_fine(&self, look: &Look) -> bool {
-        !look.lighting.is_on() || self.known(look).is_some()
+        !(look.lighting.is_on() || self.is_paged) || self.known(look).is_some()
     }
 
     /// The scene of a look, if known; it becomes the newest.

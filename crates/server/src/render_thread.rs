@@ -1,6 +1,7 @@
 //! The thread that owns the renderer. It works in pieces, and takes the next one from whoever has used least time.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use isinglass_core::camera::{Camera, Intrinsics};
@@ -10,7 +11,7 @@ use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::frames::within;
-use isinglass_core::volume::{Detail, Occlusion};
+use isinglass_core::volume::{Detail, Occlusion, PageView};
 use isinglass_net::{AfterWork, Work};
 use isinglass_render::{Piece, Renderer};
 use tokio::sync::mpsc;
@@ -20,6 +21,7 @@ use crate::counters::Counters;
 use crate::frame_memory::{bytes_of, bytes_of_making, max_segments};
 use crate::generator::{Begun, FrameJob, GenerateError, Generated, Job, Rows, RowsJob};
 use crate::lights::Lights;
+use crate::paging::{FramePages, Pager};
 use crate::selection::SceneNumber;
 use crate::turns::Turns;
 
@@ -28,6 +30,10 @@ pub(crate) struct RenderThread {
     pub(crate) look: Look,
     pub(crate) scene: SceneNumber,
     pub(crate) lights: Lights,
+    /// Reads the pages, if the volume is read by pages.
+    pub(crate) pager: Option<Pager>,
+    /// The newest scene with pages, which shares with the next one what stays.
+    pub(crate) paged: Option<Scene>,
     pub(crate) after_work: AfterWork,
     pub(crate) company: Company,
     pub(crate) counters: Counters,
@@ -154,15 +160,25 @@ impl RenderThread {
         if order.scene != self.scene {
             return Err(GenerateError::OtherVolume);
         }
+        let pages = match (&begun, &self.pager) {
+            (Some(begun), _) => begun.pages.clone(),
+            (None, Some(pager)) => {
+                let region = order.look.clip.region(&self.renderer.scene().volume.bounds());
+                let view = PageView { camera: order.header.camera, region, rests: order.rests };
+                Some(pager.pages(order.viewer, &view))
+            }
+            (None, None) => None,
+        };
         if begun.as_ref().is_none_or(|begun| begun.frame.needs_its_scene()) {
             self.prepare(order.scene, &order.look, order.near.as_ref(), None)?;
+            self.show(pages.as_ref())?;
         }
         let begun = match begun {
             Some(begun) => begun,
             None => {
                 let is_draft = !self.is_final();
                 let occlusion = self.renderer.scene().illumination.occlusion().filter(|_| !is_draft);
-                begun.insert(Begun { frame: self.renderer.begin(order.header)?, is_draft, occlusion })
+                begun.insert(Begun { frame: self.renderer.begin(order.header)?, is_draft, occlusion, pages })
             }
         };
         let num_lists = order.header.camera.intrinsics.num_pixels();
@@ -199,7 +215,8 @@ impl RenderThread {
                 held.set(bytes_of(frame.num_segments(), frame.offsets.len() - 1));
                 let (generate_micros, is_draft) = (*spent_micros, begun.is_draft);
                 let occlusion = begun.occlusion.take();
-                Ok(Some(Generated { frame, _held: held, generate_micros, is_draft, occlusion }))
+                let pages = begun.pages.take();
+                Ok(Some(Generated { frame, _held: held, generate_micros, is_draft, occlusion, pages }))
             }
         }
     }
@@ -208,6 +225,7 @@ impl RenderThread {
     fn rows(&mut self, job: &RowsJob) -> Result<Rows, GenerateError> {
         let started = Instant::now();
         self.prepare(job.scene, &job.look, None, job.lit.as_ref())?;
+        self.show(job.pages.as_ref())?;
         let Intrinsics { width, height, .. } = job.camera.intrinsics;
         let most = match self.renderer {
             Renderer::Gpu(_) => GPU_PIXELS,
@@ -241,7 +259,7 @@ impl RenderThread {
             Some(lit) => self.renderer.set_scene(lit)?,
             None if is_set => return Ok(()),
             None => {
-                let draft = self.renderer.scene().under(look, Detail::Draft, near);
+                let draft = self.renderer.scene().without_pages().under(look, Detail::Draft, near);
                 self.renderer.set_scene(draft)?;
             }
         }
@@ -249,8 +267,26 @@ impl RenderThread {
         Ok(())
     }
 
+    /// Shows these pages, or the volume that is in memory whole.
+    fn show(&mut self, pages: Option<&FramePages>) -> Result<(), GenerateError> {
+        let scene = self.renderer.scene();
+        let shown = scene.pages.as_ref().map(|shown| Arc::as_ptr(&shown.set));
+        if shown == pages.map(|pages| Arc::as_ptr(&pages.set)) {
+            return Ok(());
+        }
+        let scene = match pages {
+            Some(pages) => {
+                let scene = scene.with_pages(pages.set.clone(), self.paged.as_ref());
+                self.paged = Some(scene.clone());
+                scene
+            }
+            None => scene.without_pages(),
+        };
+        Ok(self.renderer.set_scene(scene)?)
+    }
+
     fn is_final(&self) -> bool {
-        self.renderer.scene().illumination.is_final()
+        self.renderer.scene().is_final()
     }
 }
 

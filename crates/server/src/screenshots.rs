@@ -78,7 +78,10 @@ async fn make(
     // Light for a look of its own would push out the light that other viewers share.
     let own = shot.look.as_deref().map(|look| Look { lighting: Lighting::default(), ..look.clone() });
     let look = own.as_ref().unwrap_or(look);
-    let made = generator.picture(viewer, present.scene, look, &present.lights, camera, background).await;
+    // Small pictures of other looks show the coarsest level.
+    let pages = present.pager.as_ref().filter(|_| own.is_none()).and_then(|pager| pager.shown(viewer));
+    let of = (&present.lights, pages);
+    let made = generator.picture(viewer, present.scene, look, of, camera, background).await;
     let rgb = made.ok_or("the server has stopped rendering")?.map_err(|e| e.to_string())?;
     let [width, height] = [view.intrinsics.width, view.intrinsics.height];
     let encoded = tokio::task::spawn_blocking(move || png::encode(width, height, &rgb));

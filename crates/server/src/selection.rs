@@ -23,6 +23,7 @@ use tokio::task::JoinHandle;
 use crate::ahead::{Read, ReadAhead};
 use crate::generator::{Generator, renderer_of};
 use crate::lights::Lights;
+use crate::paging::{PagedVolume, Pager};
 
 /// Opens parts of the volume's file. This crate opens no files itself: the server's owner supplies a loader.
 ///
@@ -53,8 +54,10 @@ pub struct Survey {
 /// A part that was read.
 #[derive(Debug)]
 pub struct Loaded {
-    /// The voxels.
+    /// The voxels; of a volume that is read by pages, its coarsest level.
     pub volume: Volume,
+    /// The pages of a volume that does not fit into memory.
+    pub pages: Option<PagedVolume>,
     /// The transfer function that suits the voxels; must be valid.
     pub transfer: TransferFunction,
     /// The looks of its channels; must be valid.
@@ -67,6 +70,8 @@ pub(crate) struct Present {
     /// The volume's box.
     pub(crate) bounds: Aabb,
     pub(crate) lights: Lights,
+    /// Reads the pages, if the volume is read by pages.
+    pub(crate) pager: Option<Pager>,
     pub(crate) scene: SceneNumber,
     pub(crate) parts: Option<Choices>,
     /// Memory of the volume, bytes.
@@ -80,8 +85,15 @@ pub(crate) struct SceneNumber(pub(crate) u32);
 pub(crate) type Order = (ViewerId, Option<Part>);
 
 impl Present {
-    pub(crate) fn new(scene: &Scene, number: SceneNumber, look: Look, parts: Option<Choices>) -> Self {
-        let lights = Lights::new(scene, &look);
+    pub(crate) fn new(
+        scene: &Scene,
+        number: SceneNumber,
+        look: Look,
+        parts: Option<Choices>,
+        pager: Option<Pager>,
+    ) -> Self {
+        let lights = Lights::new(scene, &look, pager.is_some());
+        let max_bytes = pager.as_ref().map_or(0, Pager::max_bytes);
         let greeting = Greeting {
             volume: VolumeDescription::of_channels(scene.whole(), scene.histograms()),
             look_version: LookVersion(1),
@@ -91,16 +103,17 @@ impl Present {
             greeting: Arc::new(greeting),
             bounds: scene.volume.bounds(),
             lights,
+            pager,
             scene: number,
             parts: parts.map(Choices::bounded),
-            bytes: scene.whole().bytes_in_memory(),
+            bytes: scene.whole().bytes_in_memory() + max_bytes,
         }
     }
 
     /// The part as it can be shown again, if viewers can choose parts.
     fn again(&self) -> Option<Read> {
         let (scene, look) = (self.lights.first_scene().clone(), self.greeting.look.clone());
-        Some(Read { scene, look, parts: self.parts.clone()? })
+        Some(Read { scene, look, parts: self.parts.clone()?, pager: self.pager.clone() })
     }
 
     /// Whether values mean the same in both, as they do across times, levels and regions.
@@ -344,10 +357,12 @@ impl SelectionReader {
             if cancelled.load(Ordering::Relaxed) {
                 return Err(NotRead::Failed("cancelled".into()));
             }
-            let Loaded { volume, transfer, channels } = loaded;
+            let Loaded { volume, pages, transfer, channels } = loaded;
+            let pager = pages.map(|pages| Pager::start(pages, &volume)).transpose();
+            let pager = pager.map_err(|e| NotRead::Failed(e.to_string()))?;
             let look = Look { transfer, channels, ..look };
             let scene = Scene::of_look(Arc::new(volume), &look);
-            Ok(Read { scene, look, parts: survey.parts })
+            Ok(Read { scene, look, parts: survey.parts, pager })
         });
         Some(Reading { part, work, cancel, progress })
     }
@@ -368,7 +383,7 @@ impl SelectionReader {
 
     /// Shows a part that was read.
     async fn show(&mut self, read: Read) -> Ended {
-        let Read { scene, look, parts } = read;
+        let Read { scene, look, parts, pager } = read;
         let (backend, of) = (self.backend.clone(), scene.clone());
         let renderer = match tokio::task::spawn_blocking(move || renderer_of(&backend, of)).await {
             Ok(Ok(renderer)) => renderer,
@@ -380,10 +395,10 @@ impl SelectionReader {
         };
         let before = self.present.borrow().clone();
         let number = SceneNumber(before.scene.0.wrapping_add(1));
-        let present = Present::new(&scene, number, look.clone(), Some(parts.clone()));
+        let present = Present::new(&scene, number, look.clone(), Some(parts.clone()), pager.clone());
         let (lights, bytes) = (present.lights.clone(), present.bytes);
         let has_failed = matches!((&self.backend, &renderer), (Backend::Gpu(_), Renderer::Cpu(_)));
-        if !self.generator.replace(renderer, look.clone(), number, lights.clone()).await {
+        if !self.generator.replace(renderer, look.clone(), number, (lights.clone(), pager.clone())).await {
             return Ended::Failed("the renderer has ended".into());
         }
         self.present.send_replace(Arc::new(present));
@@ -394,7 +409,7 @@ impl SelectionReader {
             let again = tokio::task::spawn_blocking(move || backend.renderer(scene)).await;
             if let Ok(Ok(renderer)) = again {
                 tracing::info!("the GPU has room for this part now");
-                self.generator.replace(renderer, look, number, lights).await;
+                self.generator.replace(renderer, look, number, (lights, pager)).await;
             }
         }
         Ended::Done

@@ -2,6 +2,7 @@
 
 mod following;
 mod frames;
+mod pages;
 mod sizes;
 
 use std::collections::HashSet;
@@ -9,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isinglass_core::codec::blocks::References;
-use isinglass_core::ids::LookVersion;
+use isinglass_core::ids::{LookVersion, PoseId};
 use isinglass_core::session::frames::FramesServer;
 use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::selection::Load;
@@ -24,6 +25,7 @@ use crate::audience::{Audience, Presence};
 use crate::counters::Counters;
 use crate::frame_memory::{FrameMemory, Held};
 use crate::generator::Generator;
+use crate::paging::Pager;
 use crate::pipeline::{Coders, Pipeline, Sent};
 use crate::screenshots::Screenshots;
 use crate::selection::{Order, Present, SelectionReader};
@@ -111,6 +113,12 @@ struct Viewer {
     is_new: bool,
     /// The ambient occlusion of the last frame that was no draft.
     occlusion: Option<Occlusion>,
+    /// The pages of its newest frame, of a volume that is read by pages.
+    shown_pages: Option<pages::ShownPages>,
+    /// The pose whose frames show the pages of a resting camera.
+    resting_pose: Option<PoseId>,
+    /// Notified when pages come or go.
+    page_changes: Option<watch::Receiver<u64>>,
     /// The shade that is being computed, with its look version.
     refining: Option<(LookVersion, JoinHandle<bool>)>,
     screenshots: Screenshots,
@@ -126,6 +134,9 @@ impl Drop for Viewer {
     fn drop(&mut self) {
         if let Some((_, refining)) = &self.refining {
             refining.abort();
+        }
+        if let Some(pager) = &self.present.pager {
+            pager.forget(self.session.viewer);
         }
     }
 }
@@ -150,6 +161,7 @@ impl Viewer {
         let slices = Slices::new(common.slice_makers.clone(), frames.clone(), control.clone());
         let pipeline = Pipeline::new(frames, control, session.journal.clone(), &common);
         let held = common.memory.nothing();
+        let page_changes = present.pager.as_ref().map(Pager::changes);
         let mut viewers_changed = common.audience.subscribe();
         let presence = common.audience.enter(session.viewer, session.id, &session.name);
         viewers_changed.mark_changed();
@@ -165,6 +177,9 @@ impl Viewer {
             resting: None,
             is_new,
             occlusion: None,
+            shown_pages: None,
+            resting_pose: None,
+            page_changes,
             refining: None,
             screenshots,
             slices,
@@ -217,6 +232,7 @@ impl Viewer {
                 }
                 true
             }
+            () = changed(&mut self.page_changes) => true,
             event = self.pipeline.next() => self.handle(event),
             () = self.slices.next() => true,
             Ok(()) = self.viewers_changed.changed() => {
@@ -299,6 +315,9 @@ impl Viewer {
             talk.slices.handle_volume(since);
         }
         self.frames.handle_volume();
+        self.session.talk().pages.handle_volume();
+        (self.shown_pages, self.resting_pose) = (None, None);
+        self.page_changes = self.present.pager.as_ref().map(Pager::changes);
         if let Some(led) = &mut self.led {
             led.request = None;
         }
@@ -349,6 +368,14 @@ impl Viewer {
 
     fn now_micros(&self) -> u64 {
         self.session.journal.clock().now_micros()
+    }
+}
+
+/// Returns when pages have come or gone; never if there are none.
+async fn changed(pages: &mut Option<watch::Receiver<u64>>) {
+    let Some(pages) = pages else { return std::future::pending().await };
+    if pages.changed().await.is_err() {
+        std::future::pending().await
     }
 }
 

@@ -288,6 +288,7 @@ impl<S: FrameSource> ViewerApp<S> {
             state,
             carrier: stats.carrier,
             standing: refresh.standing,
+            pages: source.talk().pages.progress(),
             silence: is_silent.then(|| Duration::from_micros(stats.silence_micros)),
             round_trip,
             frame_age: refresh.frame_age,

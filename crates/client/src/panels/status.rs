@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use egui::{Align2, Color32, RichText, Ui, vec2};
+use isinglass_core::volume::PageProgress;
 use isinglass_net::{Carrier, State};
 use lucide_icons::Icon;
 
@@ -19,6 +20,8 @@ pub struct OverlayModel {
     pub carrier: Carrier,
     /// How the picture relates to the server's.
     pub standing: Standing,
+    /// How far the pages of a volume are that is read by pages.
+    pub pages: Option<PageProgress>,
     /// How long a connected server has not answered, if it should have.
     pub silence: Option<Duration>,
     /// Round-trip time of the connection.
@@ -63,7 +66,7 @@ impl OverlayModel {
             ViewTime::FrameInterval(d) => ("frame interval", format_duration(d)),
             ViewTime::Unknown => ("novel view", dash()),
         };
-        vec![
+        let mut rows = vec![
             ("link", self.link()),
             ("round trip", duration(self.round_trip)),
             ("frame age", if is_current { "current".to_owned() } else { duration(self.frame_age) }),
@@ -76,7 +79,38 @@ impl OverlayModel {
                 "refresh",
                 self.refreshes_per_second.map_or_else(|| "at rest".to_owned(), |f| format!("{f:.0} fps")),
             ),
-        ]
+        ];
+        rows.extend(self.pages.map(|p| ("parts", format!("{} of {}", p.num_resident, p.num_wanted))));
+        rows
+    }
+
+    /// The word on the badge.
+    fn word(&self) -> String {
+        let word = self.standing.word();
+        match self.pages.filter(|pages| self.standing == Standing::Refining && pages.is_loading()) {
+            // It is not all there until the last part is.
+            Some(pages) => format!("{word} {} %", (pages.share() * 100.0).min(99.0) as u32),
+            None => word.into(),
+        }
+    }
+
+    /// Its hover text.
+    fn explanation(&self) -> String {
+        let Some(pages) = self.pages.filter(|pages| !pages.is_exact()) else {
+            return self.standing.explanation().into();
+        };
+        let mut lines = Vec::new();
+        if pages.is_loading() {
+            lines.push("Finer parts of the volume are being read.".into());
+        } else if pages.coarse_share > 0.0 {
+            let percent = (pages.coarse_share * 100.0).ceil();
+            lines.push(format!("The finest that fits: {percent:.0} % of the view is coarser than the file."));
+        }
+        if pages.num_damaged > 0 {
+            let num = pages.num_damaged;
+            lines.push(format!("Unreadable parts of the file: {num}. Coarser ones stand for them."));
+        }
+        lines.join("\n")
     }
 
     fn link(&self) -> String {
@@ -191,14 +225,14 @@ pub(crate) fn show(
                     egui::WidgetInfo::selected(egui::Role::CheckBox, true, shows_numbers, "numbers")
                 });
                 if has_name {
-                    badge(ui, model.standing);
+                    badge(ui, model);
                 }
                 ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| match has_name {
                     true => {
                         let name = RichText::new(name).color(bright(ctx)).size(13.0);
                         ui.add(egui::Label::new(name).truncate());
                     }
-                    false => badge(ui, model.standing),
+                    false => badge(ui, model),
                 });
                 numbers.clicked()
             });
@@ -236,8 +270,8 @@ fn color(ui: &Ui, standing: Standing) -> Color32 {
     }
 }
 
-fn badge(ui: &mut Ui, standing: Standing) {
-    let color = color(ui, standing);
+fn badge(ui: &mut Ui, model: &OverlayModel) {
+    let color = color(ui, model.standing);
     // The dot is before the word, whichever way the line goes.
     let is_reversed = ui.layout().prefer_right_to_left();
     let dot = |ui: &mut Ui| {
@@ -247,11 +281,11 @@ fn badge(ui: &mut Ui, standing: Standing) {
     if !is_reversed {
         dot(ui);
     }
-    let word = ui.label(RichText::new(standing.word()).color(color).strong().size(13.0));
+    let word = ui.label(RichText::new(model.word()).color(color).strong().size(13.0));
     if is_reversed {
         dot(ui);
     }
-    word.on_hover_text(standing.explanation());
+    word.on_hover_text(model.explanation());
 }
 
 fn row(ui: &mut Ui, name: &str, value: &str) {
@@ -289,6 +323,7 @@ mod tests {
             state: State::Connected,
             carrier: Carrier::Udp,
             standing: Standing::Moving,
+            pages: None,
             silence: None,
             round_trip: Some(Duration::from_millis(201)),
             frame_age: Some(Duration::from_millis(268)),
@@ -321,6 +356,27 @@ mod tests {
         ] {
             assert_eq!(row(&m, name), text, "{name}");
         }
+    }
+
+    #[test]
+    fn the_badge_tells_how_far_the_pages_are() {
+        let of = |standing, num_resident, num_damaged, coarse_share| {
+            let pages = PageProgress { num_wanted: 200, num_resident, num_damaged, coarse_share };
+            OverlayModel { standing, pages: Some(pages), ..model() }
+        };
+        let loading = of(Standing::Refining, 124, 0, 0.0);
+        assert_eq!((loading.word(), row(&loading, "parts")), ("refining 62 %".into(), "124 of 200".into()));
+        assert_eq!(of(Standing::Refining, 199, 0, 0.0).word(), "refining 99 %");
+        assert_eq!(of(Standing::Moving, 124, 0, 0.0).word(), "moving");
+        let coarse = of(Standing::Settled, 198, 2, 0.375).explanation();
+        assert!(coarse.contains("38 %") && coarse.contains("Unreadable parts of the file: 2."), "{coarse}");
+        // All there, or no pages at all: nothing is added.
+        let whole = of(Standing::Exact, 200, 0, 0.0);
+        assert_eq!(
+            (whole.word(), whole.explanation()),
+            ("exact".into(), Standing::Exact.explanation().into())
+        );
+        assert!(model().rows().iter().all(|(name, _)| *name != "parts"));
     }
 
     #[test]

@@ -426,7 +426,9 @@ impl<S: FrameSource> Viewing<S> {
         let Some(frame) = frame else { return Standing::Waiting };
         let is_connected = self.source.state() == State::Connected && !self.source.stats().is_silent();
         if is_connected && self.is_settled(now, frame, (pose, full)) {
-            if full == picture && frame.is_exact { Standing::Exact } else { Standing::Settled }
+            // The finest pages that fit are not the volume itself.
+            let is_whole = self.source.talk().pages.progress().is_none_or(|pages| pages.is_exact());
+            if full == picture && frame.is_exact && is_whole { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
         } else if is_connected && self.source.talk().viewers.following().is_some() {

@@ -2,6 +2,7 @@
 
 use super::link::LinkClient;
 use super::look::LookClient;
+use super::pages::PagesClient;
 use super::pose::PoseClient;
 use super::probe::ProbeClient;
 use super::profile::ProfileClient;
@@ -35,6 +36,8 @@ pub struct ClientSession {
     pub slices: SlicesClient,
     /// Who is there.
     pub viewers: ViewersClient,
+    /// The pages of a large volume.
+    pub pages: PagesClient,
     /// The connection.
     pub link: LinkClient,
     is_up: bool,
@@ -62,6 +65,7 @@ impl ClientSession {
         self.screenshot.handle_welcome();
         self.slices.handle_welcome(&volume, version);
         self.viewers.handle_welcome();
+        self.pages.handle_welcome();
         self.pose.handle_welcome();
         self.is_up = true;
     }
@@ -89,6 +93,7 @@ impl ClientSession {
         self.screenshot.handle_message(&message);
         self.slices.handle_message(&message);
         self.viewers.handle_message(&message);
+        self.pages.handle_message(&message);
         Ok(())
     }
 

@@ -206,6 +206,8 @@ pub struct LookServer {
     usual: TransferFunction,
     version: LookVersion,
     shade: ShadeProgress,
+    /// Whether the newest frame lacks pages that are still to be read.
+    lacks_pages: bool,
     wanted: Option<Look>,
     /// A new volume that is not announced yet.
     volume: Option<VolumeDescription>,
@@ -239,7 +241,8 @@ impl LookServer {
     pub fn new(version: LookVersion, look: Look) -> Self {
         let usual = look.transfer.clone();
         let (look, shade) = (Arc::new(look), ShadeProgress::Whole);
-        Self { look, usual, version, shade, wanted: None, volume: None, is_untold: false }
+        let (lacks_pages, wanted, volume, is_untold) = (false, None, None, false);
+        Self { look, usual, version, shade, lacks_pages, wanted, volume, is_untold }
     }
 
     /// The look of frames from now on.
@@ -252,9 +255,19 @@ impl LookServer {
         self.version
     }
 
-    /// Whether frames of this version show a draft of the shade.
+    /// Whether better frames of this version or the next one will come: the shade is a draft, or pages are missing.
     pub fn is_draft(&self) -> bool {
+        self.has_draft_shade() || self.lacks_pages
+    }
+
+    fn has_draft_shade(&self) -> bool {
         self.shade != ShadeProgress::Whole
+    }
+
+    /// Sets whether the newest frame lacks pages of the volume that are still to be read.
+    pub fn handle_pages(&mut self, lacks_pages: bool) {
+        self.is_untold |= self.lacks_pages != lacks_pages;
+        self.lacks_pages = lacks_pages;
     }
 
     /// A message has arrived. Only the newest look remains.
@@ -298,7 +311,7 @@ impl LookServer {
         if is_usual {
             self.usual = self.look.transfer.clone();
         }
-        self.volume = Some(volume);
+        (self.volume, self.lacks_pages) = (Some(volume), false);
         self.begin_version(now_micros, is_whole(&self.look));
     }
 
@@ -328,7 +341,7 @@ impl LookServer {
         version: LookVersion,
         is_draft: bool,
     ) -> GeneratedLook {
-        if version != self.version || is_draft == self.is_draft() {
+        if version != self.version || is_draft == self.has_draft_shade() {
             return GeneratedLook::Usable;
         }
         if is_draft {

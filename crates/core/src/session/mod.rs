@@ -12,7 +12,7 @@
 //! - [`repair`]: restores lost parts of frames.
 //! - [`inquiry`]: a question about the volume. [`probe`], [`profile`]: the value at a point, the values along a line.
 //! - [`screenshot`]: a picture to keep; [`slices`]: slices through the volume.
-//! - [`viewers`]: who is there, and whose frames a viewer gets.
+//! - [`viewers`]: who is there, and whose frames a viewer gets. [`pages`]: how far a large volume is read.
 //! - [`ledger`]: the life of every frame, on either side.
 //! - [`pace`]: the newest of many values, at a bounded rate.
 //! - `pair`: both sides joined by a simulated link, for tests.
@@ -27,6 +27,7 @@ pub mod ledger;
 pub mod link;
 pub mod look;
 pub mod pace;
+pub mod pages;
 #[cfg(test)]
 pub(crate) mod pair;
 pub mod pose;

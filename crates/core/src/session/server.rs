@@ -4,6 +4,7 @@ use super::admission::ViewerId;
 use super::chunks::ChunksServer;
 use super::link::LinkServer;
 use super::look::LookServer;
+use super::pages::PagesServer;
 use super::pose::PoseServer;
 use super::probe::ProbeServer;
 use super::profile::ProfileServer;
@@ -40,6 +41,8 @@ pub struct ServerSession {
     pub slices: SlicesServer,
     /// Who is there.
     pub viewers: ViewersServer,
+    /// The pages of a large volume.
+    pub pages: PagesServer,
     /// The connection.
     pub link: LinkServer,
 }
@@ -68,6 +71,7 @@ impl ServerSession {
             screenshot: ScreenshotServer::default(),
             slices: SlicesServer::new(version),
             viewers: ViewersServer::default(),
+            pages: PagesServer::default(),
             link: LinkServer::new(now_micros),
         }
     }
@@ -118,6 +122,7 @@ impl ServerSession {
             .or_else(|| self.probe.poll_message())
             .or_else(|| self.profile.poll_message())
             .or_else(|| self.viewers.poll_message())
+            .or_else(|| self.pages.poll_message())
     }
 
     /// When to poll messages again if nothing happens, µs.

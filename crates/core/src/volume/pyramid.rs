@@ -141,7 +141,7 @@ impl PyramidLevel {
     pub fn first_point(&self, at: [u32; 3]) -> [u32; 3] {
         std::array::from_fn(|i| {
             let index = f64::from(at[i]) * f64::from(PAGE_CELLS) - self.shift(i);
-            ((index.floor() - 1.0).max(0.0) as u32).min(self.dims[i].saturating_sub(2))
+            ((index.floor() - 2.0).max(0.0) as u32).min(self.dims[i].saturating_sub(2))
         })
     }
 
@@ -164,9 +164,10 @@ impl VoxelKind {
 
 /// Cells along the side of a page.
 pub const PAGE_CELLS: u32 = 64;
-/// Voxels along the side of a page. Its cells have one more than that many; the voxels of a coarser level lie between
-/// those of a finer one, which takes another; and gradients take one before and one behind.
-pub const PAGE_POINTS: u32 = PAGE_CELLS + 4;
+/// Voxels along the side of a page. Its cells have one more than that many, and steps begin before it, which takes
+/// another. The voxels of a coarser level lie between those of a finer one, which takes a third. Gradients take one
+/// before and one behind.
+pub const PAGE_POINTS: u32 = PAGE_CELLS + 5;
 /// Voxels of a page.
 pub const PAGE_VOXELS: usize = (PAGE_POINTS * PAGE_POINTS * PAGE_POINTS) as usize;
 
@@ -200,8 +201,8 @@ mod tests {
         // A level of means takes all of them: its cells begin a quarter of a voxel behind a voxel.
         let level = PyramidLevel { dims: [200; 3], factor: [2; 3], first: [0.5; 3] };
         let corners = [128.0f32, 255.99].map(|index| ((index - 0.5) / 2.0) as u32);
-        assert_eq!(corners[0] - 1, level.first_point([1; 3])[0]);
-        assert_eq!(corners[1] + 2, level.first_point([1; 3])[0] + PAGE_POINTS - 2);
+        assert_eq!(corners[0] - 2, level.first_point([1; 3])[0]);
+        assert_eq!(corners[1] + 2, level.first_point([1; 3])[0] + PAGE_POINTS - 1);
     }
 
     #[test]
@@ -217,6 +218,6 @@ mod tests {
         // 128 cells are two pages, 129 are three, and one voxel has a page of its own.
         assert_eq!(pyramid.pages(0), [2, 3, 1]);
         assert_eq!(pyramid.pages(1), [1, 2, 1]);
-        assert_eq!(pyramid.page_bytes(), 68 * 68 * 68 * 2);
+        assert_eq!(pyramid.page_bytes(), 69 * 69 * 69 * 2);
     }
 }

@@ -8,6 +8,7 @@ use std::collections::{BinaryHeap, HashMap, HashSet};
 use std::sync::Arc;
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 use super::pages::{Page, PageSet};
 use super::pyramid::{PAGE_CELLS, PageId, Pyramid};
@@ -42,7 +43,7 @@ pub struct PagePlan {
 }
 
 /// How far a view is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PageProgress {
     /// Pages that the view wants.
     pub num_wanted: u32,
@@ -58,6 +59,11 @@ impl PageProgress {
     /// Whether pages are still to come.
     pub fn is_loading(&self) -> bool {
         self.num_resident + self.num_damaged < self.num_wanted
+    }
+
+    /// The share of the wanted pages that are there or given up, 0 to 1.
+    pub fn share(&self) -> f32 {
+        (self.num_resident + self.num_damaged) as f32 / self.num_wanted.max(1) as f32
     }
 
     /// Whether the picture is that of the finest level.
@@ -377,7 +383,9 @@ impl Residency {
         self.reading.remove(&id);
         let tries = self.failed.entry(id).or_default();
         *tries = if is_final { TRIES } else { tries.saturating_add(1) };
-        *tries >= TRIES
+        let is_over = *tries >= TRIES;
+        self.version += u64::from(is_over);
+        is_over
     }
 
     /// Forgets pages that no viewer wants, and those that finer ones replace, as far as there is no room.
@@ -414,7 +422,7 @@ impl Residency {
         PageSet::new(self.pyramid.clone(), pages, is_shown)
     }
 
-    /// Changes whenever a page comes or goes.
+    /// Changes whenever a page comes, goes or is given up.
     pub fn version(&self) -> u64 {
         self.version
     }

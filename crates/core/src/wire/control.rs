@@ -18,6 +18,7 @@ use crate::camera::MAX_SIDE;
 use crate::ids::{FrameId, LookVersion, PoseId, ScreenshotId};
 use crate::look::{Look, LookError, MAX_NAME_BYTES};
 use crate::text;
+use crate::volume::PageProgress;
 
 /// A message of the client. [`ClientMessage::Hello`] comes first and once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -98,6 +99,8 @@ pub enum ServerMessage {
     Profile(Profile),
     /// Who is there.
     Viewers(Vec<ViewerEntry>),
+    /// How far the pages of a large volume are, for the newest frame.
+    Pages(PageProgress),
 }
 
 /// Another volume replaces the one that was shown.
@@ -275,6 +278,18 @@ impl Message for ServerMessage {
             Self::Probed(probed) => probed.validate(),
             Self::Profile(profile) => profile.validate(),
             Self::Viewers(list) => viewers::validate(list),
+            Self::Pages(progress) if !(0.0..=1.0).contains(&progress.coarse_share) => {
+                Err(ControlError::Value("share of coarse pages"))
+            }
+            Self::Pages(progress)
+                if progress
+                    .num_resident
+                    .checked_add(progress.num_damaged)
+                    .is_none_or(|n| n > progress.num_wanted) =>
+            {
+                Err(ControlError::Value("number of pages"))
+            }
+            Self::Pages(_) => Ok(()),
             Self::Refused(_) | Self::Stats(_) => Ok(()),
         }
     }

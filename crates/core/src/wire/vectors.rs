@@ -14,7 +14,7 @@ use crate::look::Look;
 use crate::mode::{Iso, Isos, Mode};
 use crate::space::Aabb;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use crate::volume::{Lighting, Placement, SlabMode, SlicePlane, SliceSpec, VolumeLabel};
+use crate::volume::{Lighting, PageProgress, Placement, SlabMode, SlicePlane, SliceSpec, VolumeLabel};
 
 fn transfer() -> TransferFunction {
     let point = |x, opacity| ControlPoint { x, color: [1.0, 0.5, 0.25], opacity };
@@ -244,6 +244,12 @@ fn server_messages() -> Vec<ServerMessage> {
             ViewerEntry { number: 0, name: "a".into(), is_own: true, follows: Some(300) },
             ViewerEntry { number: 300, name: String::new(), is_own: false, follows: None },
         ]),
+        ServerMessage::Pages(PageProgress {
+            num_wanted: 300,
+            num_resident: 2,
+            num_damaged: 1,
+            coarse_share: 0.25,
+        }),
     ]
 }
 
@@ -280,6 +286,7 @@ fn is_of_server(message: &ServerMessage) -> usize {
         ServerMessage::ScreenshotFailed { .. } => 9,
         ServerMessage::Profile(_) => 10,
         ServerMessage::Viewers(_) => 11,
+        ServerMessage::Pages(_) => 12,
     }
 }
 
@@ -294,7 +301,7 @@ fn every_message_has_its_bytes() {
         |all: Vec<usize>| all.into_iter().collect::<std::collections::BTreeSet<_>>().into_iter().collect();
     let found: [Vec<usize>; 2] =
         [kinds(client.iter().map(is_of).collect()), kinds(server.iter().map(is_of_server).collect())];
-    assert_eq!(found, [(0..12).collect::<Vec<_>>(), (0..12).collect()], "one of each");
+    assert_eq!(found, [(0..12).collect::<Vec<_>>(), (0..13).collect()], "one of each");
     let mut lines: Vec<String> = client.iter().map(|m| hex(&encode(m).unwrap()[4..])).collect();
     lines.extend(server.iter().map(|m| hex(&encode(m).unwrap()[4..])));
     let stored: Vec<&str> = include_str!("vectors.hex").lines().collect();

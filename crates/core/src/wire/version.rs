@@ -1,7 +1,7 @@
 //! The version of the protocol, and what peers of different versions tell each other.
 
 /// Version of the protocol on a connection.
-pub const PROTOCOL_VERSION: u32 = 16;
+pub const PROTOCOL_VERSION: u32 = 17;
 /// Protocol name in the TLS handshake: peers that share it speak the same version.
 pub const ALPN: &[u8] = b"isinglass/16";
 /// Protocol name of peers that share no version. The server then only tells its own version, by

@@ -19,6 +19,8 @@ fn occluded(opacity: f32) -> Look {
 
 fn thread(scene: &Scene, look: &Look, lights: Lights) -> RenderThread {
     RenderThread {
+        pager: None,
+        paged: None,
         renderer: Renderer::on_cpu(scene.clone()),
         look: look.clone(),
         scene: SceneNumber::default(),
@@ -39,9 +41,10 @@ async fn a_frame_stays_as_large_as_asked_while_there_is_memory() {
     let asked = Intrinsics::perspective(96, 64, 0.7);
     let pose = Pose::orbit(bounds.center(), 0.3, 0.2, 3.0 * bounds.radius());
     let made = |limit: u64| {
-        let lights = Lights::new(&scene, &look);
+        let lights = Lights::new(&scene, &look, false);
         let (memory, mut thread) = (FrameMemory::new(limit), thread(&scene, &look, lights));
         let order = FrameOrder {
+            rests: false,
             viewer: ViewerId(1),
             scene: SceneNumber::default(),
             look: look.clone(),
@@ -70,7 +73,7 @@ async fn a_draft_borrows_the_occlusion_of_its_own_viewer() {
     let (mine, other, edit) = (occluded(1.0), occluded(0.05), occluded(0.9));
     let volume = Arc::new(Builtin::Shells.volume(40));
     let scene = Scene::new(volume, &mine.transfer, mine.march_settings());
-    let lights = Lights::new(&scene, &mine);
+    let lights = Lights::new(&scene, &mine, false);
     let of_other = lights.scene(&other).await.unwrap();
     let mut thread = thread(&scene, &mine, lights);
     let number = SceneNumber::default();

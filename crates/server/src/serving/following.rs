@@ -102,8 +102,14 @@ impl Viewer {
         let mut frame = newest.frame.clone();
         let FrameHeader { frame: number, look, .. } = asked.header;
         frame.header = FrameHeader { frame: number, look, pose: PoseId(0), ..frame.header };
-        let generated =
-            Generated { frame, _held: held, generate_micros: 0, is_draft: newest.is_draft, occlusion: None };
+        let generated = Generated {
+            frame,
+            _held: held,
+            generate_micros: 0,
+            is_draft: newest.is_draft,
+            occlusion: None,
+            pages: None,
+        };
         Some((generated, Wish::default()))
     }
 

@@ -32,6 +32,15 @@ impl Viewer {
         if larger_due.is_some_and(|due| due <= now) && self.pipeline.is_idle() {
             self.frames.handle_unanswered();
         }
+        let is_answered = self.frames.is_answered(request.id, talk.look.version());
+        if let Some(due) = self.pages_due(now, &request).filter(|_| is_answered) {
+            if due > now || !self.pipeline.is_idle() {
+                let due = Some(due).filter(|_| self.pipeline.is_idle())?;
+                return Some(Instant::now() + Duration::from_micros(due.saturating_sub(now)));
+            }
+            self.resting_pose = Some(request.id);
+            self.frames.handle_unanswered();
+        }
         if self.frames.is_answered(request.id, talk.look.version()) {
             if larger_due.is_some() {
                 let due = larger_due.filter(|_| self.pipeline.is_idle())?;
@@ -75,7 +84,8 @@ impl Viewer {
         let (generator, scene) = (self.common.generator.clone(), self.present.scene);
         let wish = Wish::default();
         let (near, header) = (self.occlusion.clone(), asked.header);
-        let order = FrameOrder { viewer, scene, look, near, header, wish: wish.clone(), held };
+        let rests = self.resting_pose == Some(request.id);
+        let order = FrameOrder { viewer, scene, look, near, header, rests, wish: wish.clone(), held };
         let making = async move { generator.generate(order).await };
         self.pipeline.generate(asked, wish, making);
         None
@@ -152,6 +162,7 @@ impl Viewer {
                     self.occlusion = Some(occlusion.clone());
                 }
                 let (now, version) = (self.now_micros(), asked.header.look);
+                self.note_pages(now, generated.pages.as_ref());
                 if version == self.session.control.talk().quietly().look.version() {
                     let look = self.session.control.talk().quietly().look.look().clone();
                     self.sizes.note_frame(&look, &generated);

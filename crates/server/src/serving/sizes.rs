@@ -93,6 +93,7 @@ mod tests {
         let mut frame = LayeredFrame::empty(FrameHeader::alone(camera, 8));
         frame.depth = vec![0; num];
         Generated {
+            pages: None,
             frame,
             _held: FrameMemory::new(0).nothing(),
             generate_micros,

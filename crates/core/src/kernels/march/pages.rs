@@ -48,12 +48,16 @@ impl ScenePages {
 }
 
 impl Scene {
-    /// The same scene, shown by pages. Its volume is the coarsest level of theirs. What is known of pages that the scene
-    /// has already is shared.
-    pub fn with_pages(&self, set: Arc<PageSet>) -> Self {
-        let mut scene = self.clone();
-        scene.pages = Some(scene.look_at(set, Some(self)));
-        scene
+    /// The same scene, shown by pages. Its volume is the coarsest level of theirs. What stays is shared with the pages of
+    /// `before`, or with its own.
+    pub fn with_pages(&self, set: Arc<PageSet>, before: Option<&Self>) -> Self {
+        let pages = self.look_at(set, Some(before.unwrap_or(self)));
+        Self { pages: Some(pages), ..self.clone() }
+    }
+
+    /// The same scene, shown by the volume in memory.
+    pub fn without_pages(&self) -> Self {
+        Self { pages: None, ..self.clone() }
     }
 
     /// The pages under this scene's look. In a draft, pages keep the brightness that they have in `before`.

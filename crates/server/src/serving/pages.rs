@@ -1,0 +1,45 @@
+//! What one viewer's frames show of a volume that is read by pages.
+
+use isinglass_core::wire::PoseRequest;
+
+use super::Viewer;
+use crate::paging::FramePages;
+
+/// The pages of a viewer's newest frame.
+#[derive(Clone, Debug)]
+pub(super) struct ShownPages {
+    pages: FramePages,
+    /// When it was made, µs.
+    at: u64,
+}
+
+impl Viewer {
+    /// A frame was made of these pages.
+    pub(super) fn note_pages(&mut self, now: u64, pages: Option<&FramePages>) {
+        let Some(pages) = pages else { return };
+        {
+            let mut talk = self.session.talk();
+            talk.look.handle_pages(pages.is_draft());
+            talk.pages.handle_progress(pages.progress);
+        }
+        self.shown_pages = Some(ShownPages { pages: pages.clone(), at: now });
+    }
+
+    /// When the present pose needs a frame of more pages, µs; `None` if nothing is new.
+    pub(super) fn pages_due(&self, now: u64, request: &PoseRequest) -> Option<u64> {
+        let ShownPages { pages, at } = self.shown_pages.as_ref().filter(|shown| shown.pages.is_draft())?;
+        if self.resting_pose != Some(request.id) {
+            return Some(at + REST_MICROS);
+        }
+        let is_new = *self.page_changes.as_ref()?.borrow() != pages.version;
+        // The last pages are shown at once.
+        let viewer = self.session.viewer;
+        let is_complete = || self.present.pager.as_ref().is_some_and(|pager| !pager.is_loading(viewer));
+        is_new.then(|| if is_complete() { now } else { at + PERIOD_MICROS })
+    }
+}
+
+/// A camera rests when no other pose has come for this time, µs.
+const REST_MICROS: u64 = 150_000;
+/// Time between frames while pages come, µs.
+const PERIOD_MICROS: u64 = 400_000;
