@@ -28,6 +28,7 @@ mod header_bytes;
 mod hyperslab;
 pub mod iglf;
 mod labels;
+mod levels;
 mod loading;
 mod metaimage;
 mod mgh;

@@ -13,8 +13,10 @@ use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, malformed, shown};
 use crate::hyperslab::Steps;
 use crate::labels::mark_labels;
+use crate::levels::{InFinest, KnownNumbers, LevelGrid};
 use crate::outline::{Level, Outline};
 use crate::padding;
+use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
 use crate::warning::{Warning, WarningKind};
@@ -73,6 +75,8 @@ pub(crate) struct Plan {
     /// Levels of a pyramid, finest first; empty if there is one.
     pub(crate) levels: Vec<Level>,
     pub(crate) level: usize,
+    /// How the selected level lies in the finest one; `None` if it is the finest.
+    pub(crate) in_finest: Option<LevelGrid>,
     /// Descriptions of the series of a folder; empty if there is only one.
     pub(crate) series: Vec<String>,
     pub(crate) usual_series: u32,
@@ -118,6 +122,7 @@ impl Plan {
             time_step: None,
             levels: Vec::new(),
             level: 0,
+            in_finest: None,
             series: Vec::new(),
             usual_series: 0,
             modality: None,
@@ -163,7 +168,7 @@ impl Plan {
     }
 
     /// Entries along the axis with this role; 1 if there is no such axis.
-    fn size(&self, role: Role) -> u64 {
+    pub(crate) fn size(&self, role: Role) -> u64 {
         self.axes.iter().find(|a| a.role == role).map_or(1, |a| a.size)
     }
 
@@ -206,7 +211,8 @@ impl Plan {
         };
         let geometry = geometry.flipped(selection.flip.0, file_dims).map_err(bad)?;
         let thin = options.reading.thin.unwrap_or(1);
-        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin).map_err(bad)?;
+        let mut grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin).map_err(bad)?;
+        let in_finest = self.in_finest.as_ref().map(|level| level.place(&mut grid));
         let mut warnings = [&self.warnings[..], &grid.warnings[..]].concat();
         if let Some(text) = self.spacing_guess.as_ref().filter(|_| options.spacing.is_none()) {
             warnings.insert(0, Warning::new(WarningKind::Guess, text.clone()));
@@ -270,7 +276,7 @@ impl Plan {
         let selected: Vec<Steps> = selected.collect();
         let (channels, time) = (channels.start as u32..channels.end as u32, time as u32);
         options.check_memory(path, memory.while_reading(channels.len() as u64))?;
-        Ok(Chosen { memory, grid, channels, time, selected, num_voxels, in_file, warnings })
+        Ok(Chosen { memory, grid, in_finest, channels, time, selected, num_voxels, in_file, warnings })
     }
 
     /// The outline of the file with the selected part.
@@ -324,6 +330,8 @@ impl Plan {
 #[derive(Debug)]
 pub(crate) struct Chosen {
     pub(crate) grid: Grid,
+    /// The part in the finest level; `None` if it is a part of that.
+    pub(crate) in_finest: Option<InFinest>,
     memory: Memory,
     /// The channels to read, one or several.
     pub(crate) channels: Range<u32>,
@@ -383,6 +391,11 @@ pub(crate) trait VolumeFile {
 
     /// Passes the selected voxels to `collector`, in the order of the file.
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError>;
+
+    /// The finest level of the pyramid, if this is another one.
+    fn finest_level(&self) -> Option<Box<dyn VolumeFile>> {
+        None
+    }
 }
 
 /// Reads the selected part of `file`, the file at `path`.
@@ -400,6 +413,7 @@ pub(crate) fn read_volume(
     for (channel, decoded) in chosen.channels.clone().zip(decoded) {
         volumes.push(channel_volume(plan, &chosen, channel, decoded, path)?);
     }
+    let (volumes, word) = pinned(volumes, &*file, &chosen, path, options)?;
     let mut volumes = volumes.into_iter();
     let first = volumes.next().ok_or_else(|| malformed(path, &plan.format)("no voxels".into()))?;
     let others: Vec<Arc<Volume>> = volumes.map(Arc::new).collect();
@@ -412,12 +426,63 @@ pub(crate) fn read_volume(
         let name = &other.info.channel.name;
         warnings.extend(other.info.warnings.iter().map(|text| format!("channel {name}: {text}")));
     }
+    warnings.extend(word);
     joint.info.warnings = warnings;
     if joint.others().is_empty() && (plan.num_joint == 1 || options.reading.voxels.is_some()) {
         let word = mark_labels(&mut joint, plan, options.reading.voxels, path)?;
         joint.info.warnings.extend(word.map(|word| word.text));
     }
     Ok(joint)
+}
+
+/// The channels as levels of their pyramid, and a word if the finest level's numbers are not known.
+fn pinned(
+    volumes: Vec<Volume>,
+    file: &dyn VolumeFile,
+    chosen: &Chosen,
+    path: &Path,
+    options: &OpenOptions,
+) -> Result<(Vec<Volume>, Option<String>), FormatError> {
+    let Some(in_finest) = &chosen.in_finest else { return Ok((volumes, None)) };
+    let known = finest_numbers(&volumes, file, chosen, path, options)?;
+    let word = known.is_none().then(|| UNKNOWN_NUMBERS.to_owned());
+    let known = known.unwrap_or_default();
+    let volumes = volumes.into_iter().enumerate();
+    let pinned = volumes.map(|(i, volume)| volume.with_finest(in_finest.of_channel(known.get(i))));
+    Ok((pinned.collect(), word))
+}
+
+/// The numbers of each channel in the same part of the finest level, if that is small enough to be read for them.
+fn finest_numbers(
+    volumes: &[Volume],
+    file: &dyn VolumeFile,
+    chosen: &Chosen,
+    path: &Path,
+    options: &OpenOptions,
+) -> Result<Option<Vec<KnownNumbers>>, FormatError> {
+    let (Some(in_finest), Some(finest)) = (&chosen.in_finest, file.finest_level()) else { return Ok(None) };
+    let held: u64 = volumes.iter().map(Volume::bytes_in_memory).sum();
+    let max_bytes = options.max_bytes.saturating_sub(held).min(MOST_READ_FOR_NUMBERS);
+    let channel = (chosen.channels.len() == 1).then_some(chosen.channels.start);
+    let selection = Selection {
+        channel,
+        time: Some(chosen.time),
+        level: Some(0),
+        region: in_finest.region,
+        ..options.selection
+    };
+    let reading = Reading { labels: None, thin: None, ..options.reading.clone() };
+    let own = OpenOptions { selection, max_bytes, reading: &reading, progress: None, ..*options };
+    match read_volume(finest, path, &own) {
+        Ok(finest) => {
+            let is_alike = |(a, b): (&Volume, &Volume)| a.value_map() == b.value_map();
+            let is_alike =
+                finest.channels().count() == volumes.len() && finest.channels().zip(volumes).all(is_alike);
+            Ok(is_alike.then(|| finest.channels().map(KnownNumbers::of).collect()))
+        }
+        Err(e @ FormatError::Cancelled { .. }) => Err(e),
+        Err(_) => Ok(None),
+    }
 }
 
 /// The volume of one channel, with the warnings about its voxels.
@@ -467,6 +532,10 @@ fn window((from, to): (f64, f64)) -> Option<(f32, f32)> {
     (from < to && from.is_finite() && to.is_finite()).then_some((from, to))
 }
 
+/// What is said of a level that is shown by its own numbers.
+const UNKNOWN_NUMBERS: &str = "the finest level's values are not known, so colours may differ between levels; `isinglass index` reads them";
+/// 256 MiB: a finest level of at most this size is read for its numbers.
+const MOST_READ_FOR_NUMBERS: u64 = 256 << 20;
 /// Most channels in a list.
 const MAX_LISTED: u64 = 256;
 /// Most channels in a warning.
