@@ -55,8 +55,9 @@ impl LevelGrid {
         })
     }
 
-    /// The part of the level that is read, in the finest level. The grid's place becomes that of the finest level.
-    pub(crate) fn place(&self, grid: &mut Grid) -> InFinest {
+    /// The part of the level that is read, in the finest level. The grid's place becomes that of the finest level. `flip`
+    /// are the axes that are mirrored against the file.
+    pub(crate) fn place(&self, grid: &mut Grid, flip: [bool; 3]) -> InFinest {
         let (mut dims, mut spacing, mut first) = ([1; 3], Vec3::ONE, Vec3::ZERO);
         let mut region = Region { min: [0; 3], max: [None; 3] };
         let small = |n: u64| u32::try_from(n).unwrap_or(u32::MAX);
@@ -84,6 +85,8 @@ impl LevelGrid {
             // The world's origin is the middle of the finest level's box.
             let shift = ((end - start) as f64 - 1.0) / 2.0 - at - step * (count as f64 - 1.0) / 2.0;
             if let Some(place) = &mut grid.placement {
+                // A mirrored volume stays in its place, so its parts change theirs.
+                let shift = if flip[k] { -shift } else { shift };
                 let length = shift / step * f64::from(grid.spacing[k]);
                 place.center = [0, 1, 2].map(|i| place.center[i] + place.axes[k][i] * length);
             }

@@ -29,6 +29,7 @@ enum Rule {
 }
 
 const FACTORS: [u64; 3] = [2, 2, 1];
+const PACKINGS: [Packing; 3] = [Packing::Zstd, Packing::Blosc, Packing::Raw];
 
 /// Writes a pyramid of floats, whose finest level has `dims` along x, y, z. `signs` are those of the steps.
 fn write(folder: &Path, dims: [u64; 3], rule: Rule, signs: [f64; 3], value: impl Fn([u64; 3]) -> f32) {
@@ -51,7 +52,8 @@ fn write(folder: &Path, dims: [u64; 3], rule: Rule, signs: [f64; 3], value: impl
             Rule::Firsts => dims[k].div_ceil(factors[k]),
         };
         let shape = [count(2), count(1), count(0)];
-        let array = ArrayText { shape: &shape, chunk: &[16; 3], dtype: "<f4", packing: Packing::Zstd };
+        let array =
+            ArrayText { shape: &shape, chunk: &[16; 3], dtype: "<f4", packing: PACKINGS[level as usize] };
         let number = |at: &[u64]| -> f32 {
             let first = [2, 1, 0].map(|i| at[i] * factors[2 - i]);
             match rule {

@@ -3,6 +3,8 @@
 
 mod array;
 mod blosc;
+mod boxes;
+mod cache;
 mod chunks;
 mod codec;
 mod json;
@@ -21,7 +23,7 @@ use self::multiscale::Multiscale;
 use self::store::Store;
 use crate::collector::Collector;
 use crate::error::{FormatError, malformed, not_there};
-use crate::plan::{Memory, Plan, VolumeFile};
+use crate::plan::{BoxLevel, Memory, Plan, VolumeFile};
 use crate::source::OpenOptions;
 use crate::warning::WarningKind;
 use crate::web::WebFolder;
@@ -144,6 +146,15 @@ impl VolumeFile for ZarrImage {
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
         let pyramid = &*self.pyramid;
         read_chunks(&pyramid.arrays[self.level], &pyramid.store, collector, self.most_bytes)
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        let pyramid = &self.pyramid;
+        let plan = |level| pyramid.multiscale.plan(&pyramid.arrays, level);
+        let plans = (0..pyramid.arrays.len()).map(plan).collect::<Result<Vec<_>, _>>();
+        let mut plans = plans.map_err(malformed(path, "OME-Zarr"))?;
+        plans.iter_mut().for_each(|plan| plan.series.clone_from(&self.plan.series));
+        boxes::levels(pyramid, plans, self.most_bytes, path)
     }
 
     fn finest_level(&self) -> Option<Box<dyn VolumeFile>> {
