@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 use isinglass_core::space::IMAGE_AXES;
-use isinglass_core::volume::{Placement, Volume, Voxels};
+use isinglass_core::volume::{Placement, Voxels};
 
 use crate::selection::Region;
 use crate::warning::{Warning, WarningKind};
@@ -117,12 +117,13 @@ pub(crate) struct Grid {
 
 impl Grid {
     /// The grid of `region`, or of the whole file, which has `file_dims` voxels along its axes. One voxel in `thin` is
-    /// read along each axis, or fewer where a side would still be too long. The error says what is wrong.
+    /// read along each axis, or fewer where a side would still have more than `max`. The error says what is wrong.
     pub(crate) fn arrange(
         file_dims: [u64; 3],
         geometry: &Geometry,
         region: Option<&Region>,
         thin: u32,
+        max: u64,
     ) -> Result<Self, String> {
         let steps = geometry.steps;
         if !steps.iter().all(|v| v.length().is_finite() && v.length() > 0.0) {
@@ -134,7 +135,6 @@ impl Grid {
         let order = order(steps)?;
         let ranges = ranges(file_dims, order, region)?;
         let length = |axis: usize| ranges[axis].end - ranges[axis].start;
-        let max = u64::from(Volume::MAX_SIDE);
         let most = max * MAX_THIN;
         if let Some(axis) = (0..3).find(|&axis| !(1..=most).contains(&length(axis))) {
             let advice =
@@ -185,6 +185,34 @@ impl Grid {
     /// Voxels that are read along each axis of the file.
     fn read_dims(&self) -> [usize; 3] {
         [0, 1, 2].map(|i| (self.ranges[i].end - self.ranges[i].start).div_ceil(self.thin[i]) as usize)
+    }
+
+    /// The part of the grid from voxel `min` to the one before `max` along x, y and z, none of them thinned.
+    pub(crate) fn part(&self, min: [u64; 3], max: [u64; 3]) -> Self {
+        let mut part = self.clone();
+        for (k, (axis, is_reversed)) in self.order.into_iter().enumerate() {
+            let (start, thin, count) = (self.ranges[axis].start, self.thin[axis], u64::from(self.dims()[k]));
+            let (first, last) =
+                if is_reversed { (count - max[k], count - 1 - min[k]) } else { (min[k], max[k] - 1) };
+            part.ranges[axis] = start + first * thin..start + last * thin + 1;
+        }
+        part
+    }
+
+    /// One voxel in `steps` of the grid along x, y and z, from the first on.
+    pub(crate) fn thinned(&self, steps: [u32; 3]) -> Self {
+        let mut thinned = self.clone();
+        for (k, (axis, is_reversed)) in self.order.into_iter().enumerate() {
+            let range = &mut thinned.ranges[axis];
+            let step = self.thin[axis] * u64::from(steps[k]);
+            if is_reversed {
+                // The first voxel of the volume is the last of the file.
+                range.start += (range.end - 1 - range.start) % step;
+            }
+            thinned.thin[axis] = step;
+            thinned.spacing[k] *= steps[k] as f32;
+        }
+        thinned
     }
 
     /// Dimensions of the whole file after reordering.
@@ -328,6 +356,15 @@ mod tests {
     use super::*;
     use crate::hyperslab::{Hyperslab, Steps};
 
+    fn arrange(
+        file_dims: [u64; 3],
+        geometry: &Geometry,
+        region: Option<&Region>,
+        thin: u32,
+    ) -> Result<Grid, String> {
+        Grid::arrange(file_dims, geometry, region, thin, u64::from(isinglass_core::volume::Volume::MAX_SIDE))
+    }
+
     fn geometry(steps: [DVec3; 3], is_body: bool) -> Geometry {
         let world = if is_body { World::Body } else { World::Space };
         Geometry { steps, origin: Some(DVec3::new(10.0, -20.0, 30.0)), world, unit: None }
@@ -354,7 +391,7 @@ mod tests {
         let part = Region { min: [1, 0, 0], max: [None, Some(2), None] };
         for (p, _, steps) in every_orientation(lengths) {
             for region in [None, Some(&part)] {
-                let g = Grid::arrange(file, &geometry(steps, true), region, 1).unwrap();
+                let g = arrange(file, &geometry(steps, true), region, 1).unwrap();
                 assert_eq!(g.spacing.to_array(), lengths.map(|l| l as f32), "{steps:?}");
                 let placement = g.placement.unwrap();
                 let axes: Vec<_> = file.into_iter().zip(g.ranges.clone().map(Steps::all)).collect();
@@ -390,11 +427,11 @@ mod tests {
         let file = [4u64, 3, 2];
         for (_, _, steps) in every_orientation([1.5, 2.0, 3.0]) {
             let own = geometry(steps, true);
-            let plain = Grid::arrange(file, &own, None, 1).unwrap();
+            let plain = arrange(file, &own, None, 1).unwrap();
             let voxels = |grid: &Grid| grid.reorder_vec((0..24u8).collect());
             for signs in 0..8 {
                 let flip = [0, 1, 2].map(|k| signs >> k & 1 == 1);
-                let grid = Grid::arrange(file, &own.flipped(flip, file).unwrap(), None, 1).unwrap();
+                let grid = arrange(file, &own.flipped(flip, file).unwrap(), None, 1).unwrap();
                 assert_eq!((grid.placement, &grid.orientation), (plain.placement, &plain.orientation));
                 let [nx, ny, nz] = grid.dims().map(|n| n as usize);
                 let at = |x: usize, y: usize, z: usize| x + nx * (y + ny * z);
@@ -410,7 +447,7 @@ mod tests {
 
     #[test]
     fn an_image_has_axes_of_its_own() {
-        let grid = |geometry| Grid::arrange([4, 3, 2], &geometry, None, 1).unwrap();
+        let grid = |geometry| arrange([4, 3, 2], &geometry, None, 1).unwrap();
         let image = grid(Geometry::of_image([1.0, 2.0, 3.0], None));
         assert_eq!((image.orientation.as_deref(), image.file_axes()), (Some(IMAGE_AXES), "+x+y+z".into()));
         assert!(image.warnings.is_empty() && image.order == FILE_ORDER);
@@ -420,7 +457,7 @@ mod tests {
     #[test]
     fn the_axes_of_a_file_have_letters() {
         for (p, negative, steps) in every_orientation([1.0; 3]) {
-            let g = Grid::arrange([2; 3], &geometry(steps, true), None, 1).unwrap();
+            let g = arrange([2; 3], &geometry(steps, true), None, 1).unwrap();
             let letters: String = (0..3).map(|k| BODY_LETTERS[p[k]][usize::from(negative[k])]).collect();
             assert_eq!(g.file_axes(), letters);
             assert_eq!(g.warnings.is_empty(), letters == "RAS");
@@ -431,29 +468,29 @@ mod tests {
     fn regions_outside_are_refused() {
         let g = geometry([DVec3::X, DVec3::Y, DVec3::Z], false);
         let region = Region { min: [0, 0, 1], max: [None, Some(4), None] };
-        let e = Grid::arrange([9, 3, 2], &g, Some(&region), 1).unwrap_err();
+        let e = arrange([9, 3, 2], &g, Some(&region), 1).unwrap_err();
         assert_eq!(e, "region 0:4 along y, expected a part of 0:3");
         let region = Region { min: [0, 0, 2], max: [None; 3] };
-        assert!(Grid::arrange([9, 3, 2], &g, Some(&region), 1).unwrap_err().contains("2:2 along z"));
+        assert!(arrange([9, 3, 2], &g, Some(&region), 1).unwrap_err().contains("2:2 along z"));
         let region = Region { min: [0, 2000, 0], max: [None; 3] };
-        assert_eq!(Grid::arrange([9, 3000, 2], &g, Some(&region), 1).unwrap().dims(), [9, 1000, 2]);
+        assert_eq!(arrange([9, 3000, 2], &g, Some(&region), 1).unwrap().dims(), [9, 1000, 2]);
     }
 
     #[test]
     fn thinned_voxels_keep_their_places() {
         let steps = [DVec3::X, DVec3::Y * 2.0, DVec3::Z * -1.0];
         // Every third of 10 along x is 0, 3, 6 and 9; of 8 along y, 0, 3 and 6. The last axis is reversed.
-        let g = Grid::arrange([10, 8, 7], &geometry(steps, false), None, 3).unwrap();
+        let g = arrange([10, 8, 7], &geometry(steps, false), None, 3).unwrap();
         assert_eq!((g.dims(), g.spacing.to_array()), ([4, 3, 3], [3.0, 6.0, 3.0]));
         assert_eq!(g.placement.unwrap().center, [14.5, -14.0, 27.0]);
         assert!(g.warnings.iter().any(|w| w.text.starts_with("one voxel in 3×3×3 is read; --region")));
         // A side beyond the limit is thinned by itself.
-        let g = Grid::arrange([9, 3000, 2], &geometry(steps, false), None, 1).unwrap();
+        let g = arrange([9, 3000, 2], &geometry(steps, false), None, 1).unwrap();
         assert_eq!((g.dims(), g.spacing.to_array(), g.thin), ([9, 1500, 2], [1.0, 4.0, 1.0], [1, 2, 1]));
         let text = "one voxel in 1×2×1 is read, as a side has 3000 and 2048 are shown at most; --region";
         assert!(g.warnings.iter().any(|w| w.text.starts_with(text)), "{:?}", g.warnings);
         assert!(
-            !Grid::arrange([9, 2048, 2], &geometry(steps, false), None, 1)
+            !arrange([9, 2048, 2], &geometry(steps, false), None, 1)
                 .unwrap()
                 .warnings
                 .iter()

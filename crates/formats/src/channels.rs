@@ -162,6 +162,11 @@ impl ChannelSinks {
         }
     }
 
+    /// The sink of the first channel.
+    pub(crate) fn into_first(self) -> Option<VoxelSink> {
+        self.sinks.into_iter().next()
+    }
+
     /// Fewest voxels of a channel so far.
     pub(crate) fn num_taken(&self) -> usize {
         self.sinks.iter().map(VoxelSink::len).min().unwrap_or(0)
@@ -174,7 +179,7 @@ impl ChannelSinks {
 }
 
 /// Each `step`th number of `bytes` from number `first` on.
-fn pick(bytes: &[u8], size: usize, first: usize, step: usize, picked: &mut Vec<u8>) {
+pub(crate) fn pick(bytes: &[u8], size: usize, first: usize, step: usize, picked: &mut Vec<u8>) {
     picked.clear();
     for number in bytes.chunks_exact(size).skip(first).step_by(step) {
         picked.extend_from_slice(number);

@@ -28,6 +28,8 @@ pub(crate) struct Decoded {
     pub(crate) value_map: (f32, f32),
     /// For each voxel whether it has no value, if there is any such.
     pub(crate) gaps: Option<Vec<u8>>,
+    /// The number that marks voxels without a value.
+    pub(crate) mark: Option<f32>,
     pub(crate) warnings: Vec<Warning>,
 }
 
@@ -80,6 +82,22 @@ impl VoxelSink {
     /// Both, to change them.
     pub(crate) fn parts_mut(&mut self) -> (&mut Voxels, &mut u64) {
         (&mut self.voxels, &mut self.num_rounded)
+    }
+
+    /// Adds the voxels of another sink for the same numbers.
+    pub(crate) fn append(&mut self, other: Self) {
+        self.num_rounded += other.num_rounded;
+        match (&mut self.voxels, other.voxels) {
+            (Voxels::U8(v), Voxels::U8(mut more)) => v.append(&mut more),
+            (Voxels::U16(v), Voxels::U16(mut more)) => v.append(&mut more),
+            (Voxels::F32(v), Voxels::F32(mut more)) => v.append(&mut more),
+            _ => {}
+        }
+    }
+
+    /// The voxels as they are stored, with whatever stands for no value.
+    pub(crate) fn into_voxels(self) -> Voxels {
+        self.voxels
     }
 
     /// Voxels taken so far.
@@ -151,7 +169,7 @@ impl VoxelSink {
     /// and get a finite number for now. Such voxels are not a number, infinite, or a marker such as −9999. Masks,
     /// statistical maps and simulations have them outside of the measured part.
     pub(crate) fn finish(mut self, has_gaps: bool) -> Decoded {
-        let (mut warnings, mut gaps) = (Vec::new(), None);
+        let (mut warnings, mut gaps, mut mark) = (Vec::new(), None, None);
         if let Voxels::F32(v) = &mut self.voxels
             && has_gaps
         {
@@ -177,7 +195,10 @@ impl VoxelSink {
                 }
             }
             if matches!(self.dtype, Dtype::Half | Dtype::Float | Dtype::Double) {
-                warnings.extend(fill_gaps(v, &mut gaps));
+                if let Some((found, warning)) = fill_gaps(v, &mut gaps) {
+                    mark = Some(found);
+                    warnings.push(warning);
+                }
             }
         }
         if self.num_rounded > 0 {
@@ -190,7 +211,7 @@ impl VoxelSink {
             Dtype::Int16 => -32_768.0,
             _ => 0.0,
         };
-        Decoded { voxels: self.voxels, value_map: (1.0, offset), gaps, warnings }
+        Decoded { voxels: self.voxels, value_map: (1.0, offset), gaps, mark, warnings }
     }
 }
 
@@ -209,8 +230,9 @@ fn near_zero(least: f32, greatest: f32) -> f32 {
     }
 }
 
-/// Replaces the marker for a missing value by [`near_zero`] of the others. Returns a warning if there is a marker.
-fn fill_gaps(v: &mut [f32], gaps: &mut Option<Vec<u8>>) -> Option<Warning> {
+/// Replaces the marker for a missing value by [`near_zero`] of the others. Returns the marker and a warning if there is
+/// one.
+fn fill_gaps(v: &mut [f32], gaps: &mut Option<Vec<u8>>) -> Option<(f32, Warning)> {
     // The two least and the two greatest different numbers.
     let none = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
     let [least, second, last, greatest] = v.iter().fold(none, |[a, b, c, d], &x| {
@@ -236,7 +258,7 @@ fn fill_gaps(v: &mut [f32], gaps: &mut Option<Vec<u8>>) -> Option<Warning> {
         num += 1;
     }
     let text = format!("{num} voxels are {mark:?}, as if nothing was known there; nothing is shown");
-    Some(Warning::new(WarningKind::Values, text))
+    Some((mark, Warning::new(WarningKind::Values, text)))
 }
 
 /// A float of at least this magnitude may be a marker. NetCDF uses 9.97e36, climate models 1e20, others the largest

@@ -47,6 +47,14 @@ pub enum FormatError {
         /// What is wrong, what was found and what was expected.
         problem: String,
     },
+    /// The volume cannot be read by pages.
+    #[error("{path}: {found} cannot be read by pages; `isinglass convert` makes an OME-Zarr image that can")]
+    NotPaged {
+        /// The file.
+        path: String,
+        /// What it is.
+        found: String,
+    },
     /// The requested part is not in the file.
     #[error("{path}: {what} {asked} was asked for, expected 0 to {last}", last = found.saturating_sub(1))]
     Selection {
@@ -172,6 +180,7 @@ impl FormatError {
         | Self::Unsupported { path, .. }
         | Self::Header { path, .. }
         | Self::Malformed { path, .. }
+        | Self::NotPaged { path, .. }
         | Self::Selection { path, .. }
         | Self::Cancelled { path }
         | Self::Short { path, .. }

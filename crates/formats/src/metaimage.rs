@@ -15,7 +15,8 @@ use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, quoted, shown};
 use crate::file_list::{MAX_DATA_FILES, numbered_names};
 use crate::foreign::{HomeFolder, note_on_data_files};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::paged::flat::{FlatFile, flat_level};
+use crate::plan::{Axis, BoxLevel, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
@@ -118,9 +119,38 @@ impl VolumeFile for MetaImageFile {
             }
         }
     }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        if self.is_packed || self.is_text {
+            let found = if self.is_text { "numbers as text" } else { "zlib" };
+            return Err(FormatError::NotPaged { path: shown(path), found: found.into() });
+        }
+        let (start, paths) = match &self.data {
+            Data::Local(start) => (*start, std::slice::from_ref(&self.path)),
+            Data::Files(files) => (0, &files[..]),
+        };
+        let sizes = self.plan.axes.iter().map(|axis| axis.size);
+        let num_bytes = sizes.fold(self.plan.dtype.num_bytes() as u64, u64::saturating_mul);
+        let share = num_bytes / paths.len().max(1) as u64;
+        let mut files = Vec::new();
+        for path in paths {
+            let length = open_file(path)?.metadata().map_err(io_error(path))?.len();
+            files.push(FlatFile { path: path.clone(), offset: self.first_byte(start, length, share) });
+        }
+        flat_level(&self.plan, files, path)
+    }
 }
 
 impl MetaImageFile {
+    /// The byte of the first voxel of a file of `length` bytes, whose header ends at `start`.
+    fn first_byte(&self, start: u64, length: u64, num_bytes: u64) -> u64 {
+        match u64::try_from(self.header_size) {
+            Ok(skip) => start.saturating_add(skip),
+            Err(_) if self.is_packed || self.is_text => start,
+            Err(_) => length.saturating_sub(num_bytes).max(start),
+        }
+    }
+
     /// Reads the voxels of one file from byte `start`.
     fn take(
         &self,
@@ -132,11 +162,7 @@ impl MetaImageFile {
         let io = io_error(path);
         let mut file = open_file(path)?;
         let length = file.metadata().map_err(io)?.len();
-        let start = match u64::try_from(self.header_size) {
-            Ok(skip) => start.saturating_add(skip),
-            Err(_) if self.is_packed || self.is_text => start,
-            Err(_) => length.saturating_sub(num_bytes).max(start),
-        };
+        let start = self.first_byte(start, length, num_bytes);
         if self.is_text {
             let start = start.min(length);
             file.seek(SeekFrom::Start(start)).map_err(io)?;

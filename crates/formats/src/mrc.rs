@@ -11,7 +11,8 @@ use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed};
 use crate::header_bytes::HeaderBytes;
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::paged::flat::{FlatFile, flat_level};
+use crate::plan::{Axis, BoxLevel, Plan, Role, VolumeFile};
 use crate::source::open_file;
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
@@ -73,6 +74,10 @@ impl VolumeFile for MrcFile {
         let data = Unpacked::open(open_file(&self.path)?, &self.path, 0, None, Packing::Plain)?;
         let num_bytes = collector.num_bytes();
         data.take(collector, &self.path, self.skip, num_bytes)
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        flat_level(&self.plan, vec![FlatFile { path: self.path.clone(), offset: self.skip }], path)
     }
 }
 

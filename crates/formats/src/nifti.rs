@@ -12,10 +12,11 @@ use glam::DVec3;
 use crate::axes::{Geometry, World};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, malformed};
+use crate::error::{FormatError, io_error, malformed, shown};
 use crate::foreign::HomeFolder;
 use crate::header_bytes::HeaderBytes;
-use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
+use crate::paged::flat::{FlatFile, flat_level};
+use crate::plan::{Axis, BoxLevel, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::units::time_step;
@@ -101,6 +102,13 @@ impl VolumeFile for NiftiFile {
         let data = Unpacked::open(open_file(&self.data)?, &self.data, 0, None, self.packing)?;
         let num_bytes = collector.num_bytes();
         data.take(collector, &self.data, self.skip, num_bytes)
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        if self.packing != Packing::Plain {
+            return Err(FormatError::NotPaged { path: shown(path), found: "gzip".into() });
+        }
+        flat_level(&self.plan, vec![FlatFile { path: self.data.clone(), offset: self.skip }], path)
     }
 }
 

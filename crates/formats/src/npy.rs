@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, malformed, not_there, quoted};
-use crate::plan::{Axis, Plan, Role, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
+use crate::paged::flat::{FlatFile, flat_level};
+use crate::plan::{Axis, BoxLevel, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
@@ -119,6 +120,14 @@ impl VolumeFile for NpyFile {
         let data = Unpacked::open(open_file(&self.path)?, &self.path, offset, length, packing)?;
         let num_bytes = collector.num_bytes();
         data.take(collector, &self.path, self.skip, num_bytes)
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        if self.place.packing != Packing::Plain {
+            return Err(FormatError::NotPaged { path: shown(path), found: "a packed NumPy archive".into() });
+        }
+        let offset = self.place.offset.saturating_add(self.skip);
+        flat_level(&self.plan, vec![FlatFile { path: self.path.clone(), offset }], path)
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
-use isinglass_core::volume::{Placement, Volume, Voxels};
+use isinglass_core::volume::{Finest, Placement, Volume, Voxels};
 use rayon::prelude::*;
 
 use crate::error::{FormatError, shown};
@@ -86,7 +86,14 @@ fn on_grid(labels: Volume, volume: &Volume, flip: [bool; 3], is_part: bool) -> R
         return Err("no label lies within the volume, expected some".into());
     }
     let (map, info) = (labels.value_map(), labels.info);
-    Volume::new(volume.dims(), volume.spacing(), voxels, map, info).map_err(|e| e.to_string())
+    let labels =
+        Volume::new(volume.dims(), volume.spacing(), voxels, map, info).map_err(|e| e.to_string())?;
+    Ok(match volume.finest() {
+        Some(finest) => {
+            labels.with_finest(Finest { stored_range: None, histogram: None, ..(**finest).clone() })
+        }
+        None => labels,
+    })
 }
 
 /// Whether each label lies on a voxel. Without a position in both files, the number of voxels decides.
@@ -115,14 +122,14 @@ fn index_map(labels: &Volume, volume: &Volume) -> Result<(DVec3, [DVec3; 3]), St
     }
     let scale = unit_ratio(labels.info.unit.as_deref(), volume.info.unit.as_deref());
     let steps = volume.spacing().as_dvec3() * scale;
-    let middle = |dims: [u32; 3]| DVec3::from(dims.map(|n| (f64::from(n) - 1.0) / 2.0));
+    let middle = |volume: &Volume| volume.voxel_origin().as_dvec3() - 0.5;
     let (own_steps, own_axes) = (labels.spacing().as_dvec3(), from.axes.map(DVec3::from));
     let index_from_place = |place: DVec3| DVec3::from(own_axes.map(|axis| axis.dot(place))) / own_steps;
     let columns: [DVec3; 3] = std::array::from_fn(|k| index_from_place(DVec3::from(to.axes[k]) * steps[k]));
     let start = DVec3::from(to.center) * scale - DVec3::from(from.center);
-    let half = middle(volume.dims()).to_array();
+    let half = middle(volume).to_array();
     let to_first = half.into_iter().zip(columns).map(|(n, column)| column * n).sum::<DVec3>();
-    Ok((index_from_place(start) + middle(labels.dims()) - to_first, columns))
+    Ok((index_from_place(start) + middle(labels) - to_first, columns))
 }
 
 /// The stored number of no label.

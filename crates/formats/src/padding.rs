@@ -5,8 +5,9 @@ use rayon::prelude::*;
 
 use crate::units::may_be_hounsfield;
 
-/// The volume with nothing in voxels of the padding value: `told`, or what is known of CT.
-pub(crate) fn without_padding(mut volume: Volume, told: Option<f64>) -> Volume {
+/// The volume with nothing in voxels of the padding value: `told`, or what is known of CT. Returns the stored number of
+/// such voxels, too.
+pub(crate) fn without_padding(mut volume: Volume, told: Option<f64>) -> (Volume, Option<f32>) {
     let (lo, hi) = volume.value_range();
     let (scale, offset) = volume.value_map();
     let stored_of = |value: f64| ((value - f64::from(offset)) / f64::from(scale)) as f32;
@@ -18,7 +19,7 @@ pub(crate) fn without_padding(mut volume: Volume, told: Option<f64>) -> Volume {
         }
         None => None,
     };
-    let Some(padding) = padding else { return volume };
+    let Some(padding) = padding else { return (volume, None) };
     let is_integer = !matches!(volume.voxels(), Voxels::F32(_));
     let padding = if is_integer { padding.round() } else { padding };
     let gaps: Vec<u8> = match volume.voxels() {
@@ -39,7 +40,7 @@ pub(crate) fn without_padding(mut volume: Volume, told: Option<f64>) -> Volume {
         let text = format!("{num} voxels are {value}, outside of the scanned part; nothing is shown there");
         volume.info.warnings.push(text);
     }
-    volume
+    (volume, Some(padding))
 }
 
 /// Whether a good share of the voxels has the number, and hardly any one of the numbers next to it.
@@ -83,16 +84,17 @@ mod tests {
     fn what_is_outside_of_the_circle_is_nothing() {
         let tissue = |i: u32| -1000.0 + (i % 100) as f32 * 20.0;
         for outside in OF_CT {
-            let found = without_padding(ct(outside, tissue), None);
+            let (found, padding) = without_padding(ct(outside, tissue), None);
+            assert_eq!(padding, Some(outside + 4000.0));
             assert_eq!(found.gaps().map(|g| g.num_gaps), Some(300), "{outside}");
             assert_eq!(found.value_range().0, -1000.0);
             assert!(found.info.warnings[0].contains(&outside.to_string()));
         }
         // The controls: another least value, air that happens to be the least, and a value that the file names.
-        assert!(without_padding(ct(-1010.0, tissue), None).gaps().is_none());
+        assert!(without_padding(ct(-1010.0, tissue), None).0.gaps().is_none());
         let air = |i: u32| -1024.0 + (i % 7) as f32;
-        assert!(without_padding(ct(-1024.0, air), None).gaps().is_none());
-        let told = without_padding(ct(-1010.0, tissue), Some(-1010.0));
+        assert!(without_padding(ct(-1024.0, air), None).0.gaps().is_none());
+        let (told, _) = without_padding(ct(-1010.0, tissue), Some(-1010.0));
         assert_eq!(told.gaps().map(|g| g.num_gaps), Some(300));
     }
 }

@@ -2,19 +2,17 @@
 
 use std::ops::Range;
 use std::path::Path;
-use std::sync::Arc;
 
-use isinglass_core::volume::{ChannelInfo, MAX_CHANNELS, Volume, VolumeInfo, VolumeLabel, Voxels};
+use isinglass_core::volume::{MAX_CHANNELS, Volume, VolumeLabel};
 
 use crate::axes::{Geometry, Grid};
 use crate::collector::Collector;
-use crate::decode::Decoded;
+use crate::decode::VoxelSink;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, malformed, shown};
 use crate::hyperslab::Steps;
-use crate::labels::mark_labels;
+use crate::levels::{InFinest, LevelGrid};
 use crate::outline::{Level, Outline};
-use crate::padding;
 use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
 use crate::warning::{Warning, WarningKind};
@@ -73,6 +71,8 @@ pub(crate) struct Plan {
     /// Levels of a pyramid, finest first; empty if there is one.
     pub(crate) levels: Vec<Level>,
     pub(crate) level: usize,
+    /// How the selected level lies in the finest one; `None` if it is the finest.
+    pub(crate) in_finest: Option<LevelGrid>,
     /// Descriptions of the series of a folder; empty if there is only one.
     pub(crate) series: Vec<String>,
     pub(crate) usual_series: u32,
@@ -118,6 +118,7 @@ impl Plan {
             time_step: None,
             levels: Vec::new(),
             level: 0,
+            in_finest: None,
             series: Vec::new(),
             usual_series: 0,
             modality: None,
@@ -163,7 +164,7 @@ impl Plan {
     }
 
     /// Entries along the axis with this role; 1 if there is no such axis.
-    fn size(&self, role: Role) -> u64 {
+    pub(crate) fn size(&self, role: Role) -> u64 {
         self.axes.iter().find(|a| a.role == role).map_or(1, |a| a.size)
     }
 
@@ -193,6 +194,16 @@ impl Plan {
 
     /// The part that the options select.
     pub(crate) fn choose(&self, path: &Path, options: &OpenOptions) -> Result<Chosen, FormatError> {
+        self.choose_within(path, options, u64::from(Volume::MAX_SIDE))
+    }
+
+    /// The same, with sides of at most `max_side` voxels.
+    pub(crate) fn choose_within(
+        &self,
+        path: &Path,
+        options: &OpenOptions,
+        max_side: u64,
+    ) -> Result<Chosen, FormatError> {
         let bad = malformed(path, &self.format);
         let selection = options.selection;
         let file_dims = [0, 1, 2].map(|i| self.size(Role::Space(i)));
@@ -206,7 +217,9 @@ impl Plan {
         };
         let geometry = geometry.flipped(selection.flip.0, file_dims).map_err(bad)?;
         let thin = options.reading.thin.unwrap_or(1);
-        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin).map_err(bad)?;
+        let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin, max_side);
+        let mut grid = grid.map_err(bad)?;
+        let in_finest = self.in_finest.as_ref().map(|level| level.place(&mut grid, selection.flip.0));
         let mut warnings = [&self.warnings[..], &grid.warnings[..]].concat();
         if let Some(text) = self.spacing_guess.as_ref().filter(|_| options.spacing.is_none()) {
             warnings.insert(0, Warning::new(WarningKind::Guess, text.clone()));
@@ -256,21 +269,30 @@ impl Plan {
                 format!("the file has {num_channels} channels{listed}, of which the first {n} are shown");
             warnings.push(Warning::new(WarningKind::Choice, text));
         }
-        let selected = self.axes.iter().enumerate().map(|(i, axis)| {
+        let mut selected = self.steps(&grid, channels.clone(), time);
+        if let Some(first) = self.axes.first().filter(|axis| axis.role == Role::Channel)
+            && channels.end - channels.start > 1
+        {
+            // Single numbers are skipped more slowly than read.
+            selected[0] = Steps::all(0..first.size);
+        }
+        let (channels, time) = (channels.start as u32..channels.end as u32, time as u32);
+        options.check_memory(path, memory.while_reading(channels.len() as u64))?;
+        Ok(Chosen { memory, grid, in_finest, channels, time, selected, num_voxels, in_file, warnings })
+    }
+
+    /// The numbers of a grid along each axis, for some channels and a time.
+    pub(crate) fn steps(&self, grid: &Grid, channels: Range<u64>, time: u64) -> Vec<Steps> {
+        let steps = self.axes.iter().map(|axis| {
             Steps::all(match axis.role {
                 Role::Space(i) => return Steps { range: grid.ranges[i].clone(), step: grid.thin[i] },
-                // Single numbers are skipped more slowly than read.
-                Role::Channel if i == 0 && channels.end - channels.start > 1 => 0..axis.size,
                 Role::Channel => channels.clone(),
                 Role::Time => time..time + 1,
                 Role::Picked(i) => i..i + 1,
                 Role::Single => 0..axis.size,
             })
         });
-        let selected: Vec<Steps> = selected.collect();
-        let (channels, time) = (channels.start as u32..channels.end as u32, time as u32);
-        options.check_memory(path, memory.while_reading(channels.len() as u64))?;
-        Ok(Chosen { memory, grid, channels, time, selected, num_voxels, in_file, warnings })
+        steps.collect()
     }
 
     /// The outline of the file with the selected part.
@@ -321,10 +343,12 @@ impl Plan {
 }
 
 /// The selected part of a file.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Chosen {
     pub(crate) grid: Grid,
-    memory: Memory,
+    /// The part in the finest level; `None` if it is a part of that.
+    pub(crate) in_finest: Option<InFinest>,
+    pub(crate) memory: Memory,
     /// The channels to read, one or several.
     pub(crate) channels: Range<u32>,
     pub(crate) time: u32,
@@ -383,88 +407,41 @@ pub(crate) trait VolumeFile {
 
     /// Passes the selected voxels to `collector`, in the order of the file.
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError>;
+
+    /// Readers of boxes of its levels, finest first.
+    ///
+    /// # Errors
+    /// Its numbers can only be read one after the other.
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        Err(FormatError::NotPaged { path: shown(path), found: self.plan().format.clone() })
+    }
+
+    /// The finest level of the pyramid, if this is another one.
+    fn finest_level(&self) -> Option<Box<dyn VolumeFile>> {
+        None
+    }
 }
 
-/// Reads the selected part of `file`, the file at `path`.
-pub(crate) fn read_volume(
-    mut file: Box<dyn VolumeFile + '_>,
-    path: &Path,
-    options: &OpenOptions,
-) -> Result<Volume, FormatError> {
-    let chosen = file.plan().choose(path, options)?;
-    let mut collector = Collector::new(file.plan(), &chosen, path, options);
-    file.read(&mut collector)?;
-    let decoded = collector.finish()?;
-    let plan = file.plan();
-    let mut volumes = Vec::new();
-    for (channel, decoded) in chosen.channels.clone().zip(decoded) {
-        volumes.push(channel_volume(plan, &chosen, channel, decoded, path)?);
-    }
-    let mut volumes = volumes.into_iter();
-    let first = volumes.next().ok_or_else(|| malformed(path, &plan.format)("no voxels".into()))?;
-    let others: Vec<Arc<Volume>> = volumes.map(Arc::new).collect();
-    let mut joint = first
-        .with_others(others.clone())
-        .map_err(|cause| FormatError::Volume { path: shown(path), cause })?;
-    let mut warnings: Vec<String> = chosen.warnings.iter().map(|w| w.text.clone()).collect();
-    warnings.append(&mut joint.info.warnings);
-    for other in others {
-        let name = &other.info.channel.name;
-        warnings.extend(other.info.warnings.iter().map(|text| format!("channel {name}: {text}")));
-    }
-    joint.info.warnings = warnings;
-    if joint.others().is_empty() && (plan.num_joint == 1 || options.reading.voxels.is_some()) {
-        let word = mark_labels(&mut joint, plan, options.reading.voxels, path)?;
-        joint.info.warnings.extend(word.map(|word| word.text));
-    }
-    Ok(joint)
+/// A level whose boxes can be read in any order.
+pub(crate) struct BoxLevel {
+    pub(crate) plan: Plan,
+    pub(crate) reader: Box<dyn BoxReader>,
 }
 
-/// The volume of one channel, with the warnings about its voxels.
-fn channel_volume(
-    plan: &Plan,
-    chosen: &Chosen,
-    channel: u32,
-    decoded: Decoded,
-    path: &Path,
-) -> Result<Volume, FormatError> {
-    let look = plan.channel_looks.get(channel as usize).copied().unwrap_or_default();
-    let name = match plan.channel_names.get(channel as usize) {
-        Some(name) if !name.is_empty() => name.clone(),
-        _ if chosen.channels.len() > 1 => channel.to_string(),
-        _ => String::new(),
-    };
-    let info = VolumeInfo {
-        name: file_name(path),
-        dtype: plan.dtype.name().to_owned(),
-        unit: plan.geometry.unit.clone(),
-        orientation: chosen.grid.orientation.clone(),
-        placement: chosen.grid.placement,
-        modality: plan.modality.clone(),
-        value_unit: plan.value_unit.clone(),
-        window: look.window.and_then(window),
-        are_labels: false,
-        labels: plan.labels.clone(),
-        channel: ChannelInfo { name, color: look.color, is_hidden: look.is_hidden },
-        warnings: decoded.warnings.into_iter().map(|w| w.text).collect(),
-    };
-    let ((slope, intercept), offset) = (plan.value_map, f64::from(decoded.value_map.1));
-    let value_map = (slope as f32, (slope * offset + intercept) as f32);
-    let grid = &chosen.grid;
-    let gaps = decoded.gaps.map(|gaps| grid.reorder(Voxels::U8(gaps)));
-    let volume = Volume::new(grid.dims(), grid.spacing, grid.reorder(decoded.voxels), value_map, info)
-        .map_err(|cause| FormatError::Volume { path: shown(path), cause })?;
-    let volume = match gaps {
-        Some(Voxels::U8(gaps)) => volume.with_gaps(gaps),
-        _ => volume,
-    };
-    Ok(padding::without_padding(volume, plan.padding))
-}
+/// Reads boxes of an array of numbers, on several threads at once.
+pub(crate) trait BoxReader: Send + Sync {
+    /// The numbers that are selected along each axis of the plan, the fastest first.
+    fn read(&self, selected: &[Steps]) -> Result<VoxelSink, FormatError>;
 
-/// A window with finite ends in order; files without one often have zeros.
-fn window((from, to): (f64, f64)) -> Option<(f32, f32)> {
-    let (from, to) = (from as f32, to as f32);
-    (from < to && from.is_finite() && to.is_finite()).then_some((from, to))
+    /// Parts of the file that are not there and have their fill value, as far as they were met.
+    fn num_absent(&self) -> u64 {
+        0
+    }
+
+    /// A word about what reading a page costs, if that is much.
+    fn cost(&self) -> Option<String> {
+        None
+    }
 }
 
 /// Most channels in a list.

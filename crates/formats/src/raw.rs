@@ -5,14 +5,15 @@ use std::io::{BufReader, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use isinglass_core::volume::{Volume, VolumeError};
+use isinglass_core::volume::VolumeError;
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, shown};
-use crate::plan::{Axis, Plan, VolumeFile};
+use crate::paged::flat::{FlatFile, flat_level};
+use crate::plan::{Axis, BoxLevel, Plan, VolumeFile};
 use crate::warning::WarningKind;
 
 /// The shape of a raw file.
@@ -31,6 +32,11 @@ pub struct RawShape {
     /// Bytes before the first voxel.
     #[serde(default, serialize_with = "offset_in_toml")]
     pub offset: u64,
+}
+
+impl RawShape {
+    /// Most voxels along an axis. Sides beyond those of a volume are thinned, or read by pages.
+    pub const MAX_SIDE: u32 = 1 << 15;
 }
 
 fn unit_spacing() -> Vec3 {
@@ -67,7 +73,7 @@ impl RawFile {
     pub(crate) fn open(file: File, path: &Path, shape: &RawShape) -> Result<Self, FormatError> {
         let volume_error = |cause| FormatError::Volume { path: shown(path), cause };
         let RawShape { dims, dtype, spacing, endian, offset } = *shape;
-        if dims.iter().any(|&d| d == 0 || d > Volume::MAX_SIDE) {
+        if dims.iter().any(|&d| d == 0 || d > RawShape::MAX_SIDE) {
             return Err(volume_error(VolumeError::Dims(dims)));
         }
         if !(spacing.is_finite() && spacing.min_element() > 0.0) {
@@ -77,7 +83,7 @@ impl RawFile {
         let mut plan = Plan::new("raw", dtype, endian, Axis::in_space(dims.map(u64::from)), geometry);
         plan.has_gaps = false;
         let found = file.metadata().map_err(io_error(path))?.len().saturating_sub(offset);
-        // The product is at most 2048³ voxels of 8 bytes.
+        // The product is below 2⁵⁵ bytes.
         let num_bytes = dims.iter().map(|&d| u64::from(d)).product::<u64>() * dtype.num_bytes() as u64;
         if found > num_bytes {
             plan.warn(
@@ -108,5 +114,9 @@ impl VolumeFile for RawFile {
         let mut reader = BufReader::new(&mut self.file);
         reader.seek(SeekFrom::Start(self.offset)).map_err(&io)?;
         collector.pump(&mut reader, &self.path, num_bytes)
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        flat_level(&self.plan, vec![FlatFile { path: self.path.clone(), offset: self.offset }], path)
     }
 }

@@ -15,8 +15,9 @@ use crate::error::{FormatError, io_error, quoted, shown};
 use crate::foreign::HomeFolder;
 use crate::outline::Outline;
 use crate::overlay::{bytes_of_labels, with_labels};
-use crate::plan::{Axis, Plan, VolumeFile, read_volume};
+use crate::plan::{Axis, Plan, VolumeFile};
 use crate::raw::RawShape;
+use crate::read_volume::read_volume;
 use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
@@ -130,7 +131,10 @@ fn outline_of(source: &str, options: &OpenOptions) -> Result<Outline, FormatErro
 }
 
 /// Reads the header of a file, a folder or an image at an address. Returns its path, too.
-fn open_source(source: &str, options: &OpenOptions) -> Result<(PathBuf, Box<dyn VolumeFile>), FormatError> {
+pub(crate) fn open_source(
+    source: &str,
+    options: &OpenOptions,
+) -> Result<(PathBuf, Box<dyn VolumeFile>), FormatError> {
     if is_address(source) {
         let path = PathBuf::from(source.trim_end_matches('/'));
         return Ok((path, Box::new(zarr::ZarrImage::open_web(source, options)?)));

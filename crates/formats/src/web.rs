@@ -83,6 +83,11 @@ impl WebFolder {
             StatusCode::OK | StatusCode::PARTIAL_CONTENT => {}
             // Buckets without a public list refuse access to what is not there.
             StatusCode::NOT_FOUND | StatusCode::GONE | StatusCode::FORBIDDEN => return Ok(None),
+            // It may answer otherwise later.
+            _ if status.is_server_error() || status == StatusCode::TOO_MANY_REQUESTS => {
+                let cause = io::Error::other(format!("the server answers {status}, expected the file"));
+                return Err(FormatError::Io { path: shown(path), cause });
+            }
             _ => return Err(bad(format!("the server answers {status}, expected the file"))),
         }
         let wanted = match part {

@@ -5,6 +5,8 @@
 
 use rayon::prelude::*;
 
+use super::grid::Voxels;
+
 /// Which voxels are gaps.
 #[derive(Debug, PartialEq, Eq)]
 pub struct VoxelGaps {
@@ -40,11 +42,17 @@ impl Number for f32 {
 /// Fills the gaps: beside other voxels with the mean of these, elsewhere with the least number. Returns the least and
 /// the greatest number of the others, of which there must be one.
 pub(super) fn fill<T: Number>(voxels: &mut [T], gaps: &[u8], dims: [u32; 3]) -> (f32, f32) {
-    let [nx, ny, nz] = dims.map(|d| d as usize);
     let both = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
     let none = (f32::INFINITY, f32::NEG_INFINITY);
     let known = voxels.par_iter().zip(gaps).filter(|(_, gap)| **gap == 0);
     let range = known.map(|(v, _)| ((*v).into(), (*v).into())).reduce(|| none, both);
+    fill_with(voxels, gaps, dims, range.0);
+    range
+}
+
+/// Fills the gaps: beside other voxels with the mean of these, elsewhere with a number.
+fn fill_with<T: Number>(voxels: &mut [T], gaps: &[u8], dims: [u32; 3], elsewhere: f32) {
+    let [nx, ny, nz] = dims.map(|d| d as usize);
     let around = |i: usize, n: usize| i.saturating_sub(1)..=(i + 1).min(n - 1);
     let mean = |old: &[T], i: usize| {
         let (x, y, z) = (i % nx, i / nx % ny, i / nx / ny);
@@ -55,7 +63,7 @@ pub(super) fn fill<T: Number>(voxels: &mut [T], gaps: &[u8], dims: [u32; 3]) -> 
                 count += 1.0;
             }
         }
-        T::from_mean(if count > 0.0 { sum / count } else { range.0 })
+        T::from_mean(if count > 0.0 { sum / count } else { elsewhere })
     };
     // Only voxels that stay are read, so one slice after the other can be replaced.
     for first in (0..voxels.len()).step_by(nx * ny) {
@@ -64,7 +72,23 @@ pub(super) fn fill<T: Number>(voxels: &mut [T], gaps: &[u8], dims: [u32; 3]) -> 
         let slice: Vec<T> = each.map(|i| if gaps[i] == 0 { old[i] } else { mean(old, i) }).collect();
         voxels[first..][..nx * ny].copy_from_slice(&slice);
     }
-    range
+}
+
+impl Voxels {
+    /// Fills the gaps of a part of a volume, which has one byte for each of its `dims` voxels, not 0 for a gap. Beside
+    /// other voxels they get the mean of these, as in a whole volume, and the number `elsewhere` where there are none.
+    ///
+    /// # Panics
+    /// If there are not as many voxels and bytes as `dims` say.
+    pub fn fill_gaps(&mut self, gaps: &[u8], dims: [u32; 3], elsewhere: f32) {
+        let expected = dims.iter().map(|&d| d as usize).product::<usize>();
+        assert!(self.len() == expected && gaps.len() == expected, "{dims:?} voxels");
+        match self {
+            Self::U8(v) => fill_with(v, gaps, dims, elsewhere),
+            Self::U16(v) => fill_with(v, gaps, dims, elsewhere),
+            Self::F32(v) => fill_with(v, gaps, dims, elsewhere),
+        }
+    }
 }
 
 #[cfg(test)]

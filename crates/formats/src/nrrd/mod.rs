@@ -14,7 +14,8 @@ use crate::collector::Collector;
 use crate::decode::next_number;
 use crate::error::{FormatError, HeaderError, io_error, shown};
 use crate::foreign::{HomeFolder, note_on_data_files};
-use crate::plan::{Plan, VolumeFile};
+use crate::paged::flat::{FlatFile, flat_level};
+use crate::plan::{BoxLevel, Plan, VolumeFile};
 use crate::source::{OpenOptions, open_file};
 use crate::stream::{Packing, Unpacked, warn_of_more};
 use crate::units::value_unit;
@@ -27,6 +28,8 @@ pub(crate) struct NrrdFile {
     path: PathBuf,
     /// The files with detached voxels.
     files: Vec<PathBuf>,
+    /// Where an attached header ends.
+    header_end: u64,
     /// The file at the start of attached voxels.
     reader: Option<BufReader<File>>,
 }
@@ -67,7 +70,8 @@ impl NrrdFile {
                 names.iter().map(|name| home.data_file(name)).collect::<Result<_, _>>()?
             }
         };
-        Ok(Self { header, plan, path: path.to_owned(), files, reader: Some(reader) })
+        let header_end = reader.stream_position().map_err(io_error(path))?;
+        Ok(Self { header, plan, path: path.to_owned(), files, header_end, reader: Some(reader) })
     }
 }
 
@@ -100,9 +104,58 @@ impl VolumeFile for NrrdFile {
             }),
         }
     }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        let found = match self.header.encoding {
+            Encoding::Raw => None,
+            Encoding::Gzip => Some("gzip"),
+            Encoding::Ascii => Some("numbers as text"),
+        };
+        if let Some(found) = found {
+            return Err(FormatError::NotPaged { path: shown(path), found: found.into() });
+        }
+        let sizes = self.plan.axes.iter().map(|axis| axis.size);
+        let num_bytes = sizes.fold(self.plan.dtype.num_bytes() as u64, u64::saturating_mul);
+        let share = num_bytes / self.files.len().max(1) as u64;
+        let (start, paths) = match self.header.data {
+            DataFiles::Attached => (self.header_end, std::slice::from_ref(&self.path)),
+            DataFiles::Detached(_) => (0, &self.files[..]),
+        };
+        let mut files = Vec::new();
+        for path in paths {
+            let mut reader = BufReader::new(open_file(path)?);
+            reader.seek(SeekFrom::Start(start)).map_err(io_error(path))?;
+            let (start, num_left) = self.skip_lines(&mut reader, path)?;
+            let offset = start.saturating_add(self.bytes_to_skip(num_left, share));
+            files.push(FlatFile { path: path.clone(), offset });
+        }
+        flat_level(&self.plan, files, path)
+    }
 }
 
 impl NrrdFile {
+    /// Skips the lines before the voxels. Returns the position behind them, and the number of bytes from there on.
+    fn skip_lines(&self, reader: &mut BufReader<File>, path: &Path) -> Result<(u64, u64), FormatError> {
+        let io = io_error(path);
+        for _ in 0..self.header.line_skip {
+            if skip_line(reader).map_err(io)? == 0 {
+                let problem = format!("the file ends within the {} lines to skip", self.header.line_skip);
+                return Err(FormatError::Data { path: shown(path), problem });
+            }
+        }
+        let start = reader.stream_position().map_err(io)?;
+        let length = reader.get_ref().metadata().map_err(io)?.len();
+        Ok((start, length.saturating_sub(start)))
+    }
+
+    /// Bytes to skip then, of `num_left`.
+    fn bytes_to_skip(&self, num_left: u64, num_bytes: u64) -> u64 {
+        match self.header.byte_skip {
+            ByteSkip::Forward(n) => n,
+            ByteSkip::ToEnd => num_left.saturating_sub(num_bytes),
+        }
+    }
+
     /// Reads the voxels of one data file. `reader` is at its start, or at the end of an attached header.
     fn take(
         &self,
@@ -113,19 +166,9 @@ impl NrrdFile {
     ) -> Result<(), FormatError> {
         let header = &self.header;
         let io = io_error(path);
-        for _ in 0..header.line_skip {
-            if skip_line(&mut reader).map_err(io)? == 0 {
-                let problem = format!("the file ends within the {} lines to skip", header.line_skip);
-                return Err(collector.data_error(path, problem));
-            }
-        }
-        let start = reader.stream_position().map_err(io)?;
-        let num_left = reader.get_ref().metadata().map_err(io)?.len().saturating_sub(start);
+        let (start, num_left) = self.skip_lines(&mut reader, path)?;
         let num_bytes = num_voxels * header.dtype.num_bytes() as u64;
-        let skip = match header.byte_skip {
-            ByteSkip::Forward(n) => n,
-            ByteSkip::ToEnd => num_left.saturating_sub(num_bytes),
-        };
+        let skip = self.bytes_to_skip(num_left, num_bytes);
         let packing = match header.encoding {
             Encoding::Raw => Packing::Plain,
             Encoding::Gzip => Packing::Gzip,

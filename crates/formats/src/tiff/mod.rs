@@ -2,6 +2,7 @@
 //! channels, times and the size of a voxel.
 
 mod check;
+mod flat;
 mod imagej;
 mod ome;
 
@@ -13,6 +14,7 @@ use std::path::{Path, PathBuf};
 
 use ::tiff::TiffError;
 
+use self::flat::flat_planes;
 use self::page::{Group, PageDecoder, PageShape, Scan, decoder, page_shape, tiff_error};
 use self::shaped::Shaped;
 use crate::alike::alike;
@@ -20,7 +22,8 @@ use crate::axes::Geometry;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, not_there};
-use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
+use crate::paged::flat::{FlatFile, flat_level};
+use crate::plan::{Axis, BoxLevel, ChannelLook, Plan, Role, VolumeFile};
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::stream::{Packing, Unpacked};
 use crate::warning::WarningKind;
@@ -292,6 +295,14 @@ impl VolumeFile for TiffFile {
             collector.push(&bytes)?;
         }
         Ok(())
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        if let Some(offset) = self.contiguous {
+            return flat_level(&self.plan, vec![FlatFile { path: self.files[0].clone(), offset }], path);
+        }
+        let (files, endian) = flat_planes(&self.files, &self.planes, self.shape, path)?;
+        flat_level(&Plan { endian, ..self.plan.clone() }, files, path)
     }
 }
 

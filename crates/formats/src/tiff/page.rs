@@ -148,14 +148,13 @@ impl Group {
             Ok(3) => Some(10.0),
             _ => None,
         };
-        let is_plain = decoder.get_tag_u32(Tag::Compression).unwrap_or(1) == 1;
         Ok(Self {
             shape,
             pages: vec![page],
             shaped: description_of(decoder, MAX_SHAPED_BYTES).and_then(|d| Shaped::of(&d)),
             resolution,
             unit_mm,
-            block: if is_plain { block(decoder) } else { None },
+            block: plain_block(decoder),
             is_white: is_white(decoder),
         })
     }
@@ -171,8 +170,11 @@ fn imagej_metadata(decoder: &mut PageDecoder, endian: Endian) -> Option<imagej::
     imagej::Metadata::of(&bytes_of(decoder, IMAGEJ_METADATA, MAX_IMAGEJ_BYTES)?, &lengths)
 }
 
-/// Offset of the strips, if there are no gaps between them.
-fn block(decoder: &mut PageDecoder) -> Option<u64> {
+/// Offset of the strips of the current page, if they are not packed and have no gaps between them.
+pub(super) fn plain_block(decoder: &mut PageDecoder) -> Option<u64> {
+    if decoder.get_tag_u32(Tag::Compression).unwrap_or(1) != 1 {
+        return None;
+    }
     let offsets = decoder.get_tag_u64_vec(Tag::StripOffsets).ok()?;
     // The length of a single strip does not matter, and is wrong above 4 GB.
     if offsets.len() > 1 {
@@ -186,7 +188,7 @@ fn block(decoder: &mut PageDecoder) -> Option<u64> {
 }
 
 /// Whether the least number of the current page is white.
-fn is_white(decoder: &mut PageDecoder) -> bool {
+pub(super) fn is_white(decoder: &mut PageDecoder) -> bool {
     decoder.get_tag_u32(Tag::PhotometricInterpretation).is_ok_and(|p| p == 0)
 }
 

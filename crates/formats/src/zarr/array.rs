@@ -151,6 +151,16 @@ impl Array {
         })
     }
 
+    /// The sides of the chunks that are decoded.
+    pub(super) fn sides(&self) -> &[u64] {
+        self.shard.as_ref().map_or(&self.chunk, |shard| &shard.chunk)
+    }
+
+    /// Bytes of such a chunk.
+    pub(super) fn chunk_bytes(&self) -> u64 {
+        self.sides().iter().fold(self.dtype.num_bytes() as u64, |n, side| n.saturating_mul(*side))
+    }
+
     pub(super) fn chunk_path(&self, index: &[u64]) -> PathBuf {
         let words: Vec<String> = index.iter().map(u64::to_string).collect();
         let words = words.join(&self.separator.to_string());

@@ -2,14 +2,16 @@
 
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
 use super::array::{Array, Shard};
+use super::boxes::SharedChunks;
 use super::codec;
 use super::store::{Part, Store};
-use crate::channels::Piece;
+use crate::channels::{ChannelSinks, Piece, StreamShape};
 use crate::collector::Collector;
 use crate::decode::VoxelSink;
 use crate::error::{FormatError, io_error, shown};
@@ -17,7 +19,7 @@ use crate::hyperslab::Steps;
 use crate::warning::WarningKind;
 
 /// The selected part of an array. Axes are slowest first, as in chunks.
-struct Chunks<'a> {
+pub(super) struct Chunks<'a> {
     array: &'a Array,
     store: &'a Store,
     selected: Vec<Steps>,
@@ -25,7 +27,19 @@ struct Chunks<'a> {
     /// Axes that the plan has and the array has not.
     num_more_axes: usize,
     cancel: Option<&'a AtomicBool>,
+    /// The level, and what is kept of all levels.
+    shared: Option<(usize, &'a SharedChunks)>,
 }
+
+/// Files of chunks or shards.
+#[derive(Clone, Copy, Default)]
+struct FileCounts {
+    met: u64,
+    absent: u64,
+}
+
+/// The decoded bytes of a chunk; `None` if its file is absent.
+pub(super) type ReadChunk = Option<Arc<Vec<u8>>>;
 
 /// A chunk in a file.
 struct Located {
@@ -47,28 +61,39 @@ pub(super) fn read_chunks(
     let selected: Vec<Steps> = collector.selected().iter().take(num_axes).rev().cloned().collect();
     let channel_axis = collector.channel_axis().map(|axis| num_axes - 1 - axis);
     let num_more_axes = collector.selected().len() - num_axes;
-    let chunks = Chunks { array, store, selected, channel_axis, num_more_axes, cancel: collector.cancel() };
+    let cancel = collector.cancel();
+    let chunks = Chunks { array, store, selected, channel_axis, num_more_axes, cancel, shared: None };
     chunks.check_sizes(collector, most_bytes)?;
     chunks.read_all(collector)
 }
 
 impl<'a> Chunks<'a> {
-    /// The sides of the chunks that are decoded.
-    fn sides(&self) -> &'a [u64] {
-        self.array.shard.as_ref().map_or(&self.array.chunk, |s| &s.chunk)
-    }
-
-    fn bytes_of_chunk(&self) -> u64 {
-        let size = self.array.dtype.num_bytes() as u64;
-        self.sides().iter().fold(size, |n, side| n.saturating_mul(*side))
+    /// The chunks of a box, for which `selected` has the axes of the plan. `shared` has the level.
+    pub(super) fn of_box(
+        array: &'a Array,
+        store: &'a Store,
+        selected: &[Steps],
+        channel_axis: Option<usize>,
+        shared: (usize, &'a SharedChunks),
+    ) -> Self {
+        let num_axes = array.shape.len();
+        Self {
+            array,
+            store,
+            selected: selected.iter().take(num_axes).rev().cloned().collect(),
+            channel_axis: channel_axis.map(|axis| num_axes - 1 - axis),
+            num_more_axes: selected.len() - num_axes,
+            cancel: None,
+            shared: Some(shared),
+        }
     }
 
     fn check_sizes(&self, collector: &Collector, most_bytes: u64) -> Result<(), FormatError> {
-        let num_chunks = self.selected.iter().zip(self.sides()).try_fold(1u64, |n, (steps, &side)| {
+        let num_chunks = self.selected.iter().zip(self.array.sides()).try_fold(1u64, |n, (steps, &side)| {
             let range = covering(&steps.range, side);
             n.checked_mul(range.end - range.start)
         });
-        let bytes = self.bytes_of_chunk();
+        let bytes = self.array.chunk_bytes();
         if num_chunks.is_none_or(|n| n > MAX_CHUNKS) || bytes > most_bytes {
             let n = num_chunks.unwrap_or(u64::MAX);
             let problem = format!("{n} chunks of {bytes} bytes, expected fewer or smaller ones");
@@ -79,47 +104,25 @@ impl<'a> Chunks<'a> {
 
     /// How many chunks are in memory at once: a layer of them across the slowest axis, or a few MiB.
     fn num_at_once(&self) -> usize {
-        let lengths = self.selected.iter().zip(self.sides()).map(|(steps, side)| (steps.len(), *side));
+        let lengths = self.selected.iter().zip(self.array.sides()).map(|(steps, side)| (steps.len(), *side));
         let slow = lengths.clone().position(|(length, _)| length > 1).unwrap_or(0);
         let layer = lengths.enumerate().fold(1u64, |n, (axis, (length, side))| {
             n.saturating_mul(if axis == slow { length.min(side) } else { length })
         });
         let layer = layer.saturating_mul(self.array.dtype.num_bytes() as u64);
         // A chunk is there twice: as bytes, and as voxels.
-        let num = layer.clamp(LEAST_BYTES, MOST_BYTES) / (2 * self.bytes_of_chunk()).max(1);
+        let num = layer.clamp(LEAST_BYTES, MOST_BYTES) / (2 * self.array.chunk_bytes()).max(1);
         num.clamp(1, MAX_AT_ONCE) as usize
     }
 
     fn read_all(&self, collector: &mut Collector) -> Result<(), FormatError> {
-        let array = self.array;
-        let files: Vec<Range<u64>> =
-            self.selected.iter().zip(&array.chunk).map(|(s, &side)| covering(&s.range, side)).collect();
-        let mut index: Vec<u64> = files.iter().map(|r| r.start).collect();
-        let num_at_once = self.num_at_once();
-        let (mut num_files, mut num_absent) = (0u64, 0u64);
-        let mut waiting = Vec::new();
-        collector.fill(&array.fill)?;
-        loop {
-            num_files += 1;
-            let path = array.chunk_path(&index);
-            let start: Vec<u64> = index.iter().zip(&array.chunk).map(|(i, n)| i * n).collect();
-            match &array.shard {
-                None => waiting.push(Located { path, part: Part::Whole, start }),
-                Some(shard) => match self.in_shard(shard, path, &start)? {
-                    Some(found) => waiting.extend(found),
-                    None => num_absent += 1,
-                },
-            }
-            let is_last = !next_index(&mut index, &files);
-            while waiting.len() >= num_at_once || (is_last && !waiting.is_empty()) {
-                let batch: Vec<Located> = waiting.drain(..num_at_once.min(waiting.len())).collect();
-                num_absent += self.read_batch(&batch, collector)?;
-            }
-            collector.tick()?;
-            if is_last {
-                break;
-            }
-        }
+        let (mut num_files, mut num_absent) = (0, 0);
+        collector.fill(&self.array.fill)?;
+        self.for_batches(|batch, in_files| {
+            num_files += in_files.met;
+            num_absent += in_files.absent + self.read_batch(&batch, collector)?;
+            collector.tick()
+        })?;
         if num_absent > 0 {
             let hint = if num_absent == num_files { "; is the dimension separator right?" } else { "" };
             let text = format!(
@@ -130,8 +133,73 @@ impl<'a> Chunks<'a> {
         Ok(())
     }
 
+    /// The numbers of a box of one channel. `selected` and `channel_axis` are those of the plan.
+    pub(super) fn read_box(
+        &self,
+        selected: &[Steps],
+        channel_axis: Option<usize>,
+    ) -> Result<VoxelSink, FormatError> {
+        let array = self.array;
+        let no_memory = || io_error(&array.path)(std::io::ErrorKind::OutOfMemory.into());
+        let num_voxels = selected.iter().map(Steps::len).product::<u64>() as usize;
+        let (dtype, endian) = (array.dtype, array.codecs.endian);
+        let shape = StreamShape { dtype, endian, selected, channel_axis, num_channels: 1, num_voxels };
+        let mut sinks = ChannelSinks::new(&shape, Some(&array.fill)).map_err(|_| no_memory())?;
+        self.for_batches(|batch, _| {
+            let in_turn = || batch.iter().map(|chunk| self.pieces(chunk)).collect::<Result<Vec<_>, _>>();
+            let at_once = || batch.par_iter().map(|chunk| self.pieces(chunk)).collect::<Result<Vec<_>, _>>();
+            let found = match self.store {
+                Store::Folder(_) if batch.len() <= FEW_CHUNKS => in_turn()?,
+                store => store.on_threads(at_once)?,
+            };
+            sinks.place(found.into_iter().flatten().flatten().collect(), 0);
+            Ok(())
+        })?;
+        sinks.into_first().ok_or_else(no_memory)
+    }
+
+    /// Calls `each` with all chunks, some at once, and with the files that were met since the last call.
+    fn for_batches(
+        &self,
+        mut each: impl FnMut(Vec<Located>, FileCounts) -> Result<(), FormatError>,
+    ) -> Result<(), FormatError> {
+        let array = self.array;
+        let files: Vec<Range<u64>> =
+            self.selected.iter().zip(&array.chunk).map(|(s, &side)| covering(&s.range, side)).collect();
+        let mut index: Vec<u64> = files.iter().map(|r| r.start).collect();
+        let num_at_once = self.num_at_once();
+        let mut waiting = Vec::new();
+        loop {
+            let start: Vec<u64> = index.iter().zip(&array.chunk).map(|(i, n)| i * n).collect();
+            let path = array.chunk_path(&index);
+            let mut counts = FileCounts { met: 1, absent: 0 };
+            match &array.shard {
+                None if self.num_within(&start) > 0 => {
+                    waiting.push(Located { path, part: Part::Whole, start })
+                }
+                None => counts.met = 0,
+                Some(shard) => match self.in_shard(shard, path, &start)? {
+                    Some(found) => waiting.extend(found),
+                    None => counts.absent = 1,
+                },
+            }
+            let is_last = !next_index(&mut index, &files);
+            each(Vec::new(), counts)?;
+            while waiting.len() >= num_at_once || (is_last && !waiting.is_empty()) {
+                let batch = waiting.drain(..num_at_once.min(waiting.len())).collect();
+                each(batch, FileCounts::default())?;
+            }
+            if is_last {
+                return Ok(());
+            }
+        }
+    }
+
     /// Reads chunks at once. Returns how many of their files are absent.
     fn read_batch(&self, batch: &[Located], collector: &mut Collector) -> Result<u64, FormatError> {
+        if batch.is_empty() {
+            return Ok(0);
+        }
         let read = || batch.par_iter().map(|chunk| self.pieces(chunk)).collect::<Result<Vec<_>, _>>();
         let found = self.store.on_threads(read)?;
         let num_absent = found.iter().filter(|pieces| pieces.is_none()).count() as u64;
@@ -142,7 +210,7 @@ impl<'a> Chunks<'a> {
 
     /// The selected numbers in the chunk at `start`, along each axis.
     fn within(&self, start: &[u64]) -> Vec<Range<u64>> {
-        let axes = self.selected.iter().zip(start.iter().zip(self.sides()));
+        let axes = self.selected.iter().zip(start.iter().zip(self.array.sides()));
         axes.map(|(steps, (s, n))| steps.within(*s..s.saturating_add(*n))).collect()
     }
 
@@ -164,7 +232,18 @@ impl<'a> Chunks<'a> {
         let count = count.ok_or_else(|| bad(format!("a shard of more than {MAX_CHUNKS} chunks")))?;
         let size = 16 * count + if shard.has_checksum { 4 } else { 0 };
         let part = if shard.is_index_first { Part::At(0, size) } else { Part::End(size) };
-        let Some((bytes, length)) = self.store.read(&path, part, size)? else { return Ok(None) };
+        let read = || -> Result<_, FormatError> {
+            let found = self.store.read(&path, part, size)?;
+            Ok(found.map(|(bytes, length)| (Arc::new(bytes), length)))
+        };
+        let found = match self.shared {
+            Some((level, shared)) => shared.tables.get((level, start.to_vec()), size, read)?,
+            None => read()?,
+        };
+        let Some((bytes, length)) = found else {
+            self.note_absent(start);
+            return Ok(None);
+        };
         let table = shard_index(&bytes, count as usize, shard.has_checksum).map_err(bad)?;
         let mut at: Vec<u64> = vec![0; inner.len()];
         let mut found = Vec::new();
@@ -187,16 +266,19 @@ impl<'a> Chunks<'a> {
         if self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
             return Err(FormatError::Cancelled { path: shown(&self.array.path) });
         }
-        let (array, sides) = (self.array, self.sides());
-        // Codecs add little to numbers that do not shrink.
-        let most = self.bytes_of_chunk().saturating_mul(2).saturating_add(CODEC_BYTES);
-        let Some((packed, _)) = self.store.read(&chunk.path, chunk.part, most)? else { return Ok(None) };
-        let damaged = |problem: String| FormatError::Data {
-            path: shown(&chunk.path),
-            problem: format!("chunk: {problem}"),
+        let array = self.array;
+        let found = match self.shared {
+            Some((level, shared)) => {
+                let key = (level, chunk.start.clone());
+                shared.chunks.get(key, array.chunk_bytes(), || self.decoded(chunk))?
+            }
+            None => self.decoded(chunk)?,
         };
-        let bytes = array.codecs.decode(packed, self.bytes_of_chunk() as usize).map_err(damaged)?;
-        let strides = strides(sides, &array.codecs.order);
+        let Some(bytes) = found else {
+            self.note_absent(&chunk.start);
+            return Ok(None);
+        };
+        let strides = strides(array.sides(), &array.codecs.order);
         let within = self.within(&chunk.start);
         if within.iter().any(|r| r.start >= r.end) {
             return Ok(Some(Vec::new()));
@@ -224,6 +306,27 @@ impl<'a> Chunks<'a> {
         Ok(Some(pieces))
     }
 
+    /// Reads and decodes a chunk.
+    fn decoded(&self, chunk: &Located) -> Result<ReadChunk, FormatError> {
+        let num_bytes = self.array.chunk_bytes();
+        // Codecs add little to numbers that do not shrink.
+        let most = num_bytes.saturating_mul(2).saturating_add(CODEC_BYTES);
+        let Some((packed, _)) = self.store.read(&chunk.path, chunk.part, most)? else { return Ok(None) };
+        let bytes = self.array.codecs.decode(packed, num_bytes as usize);
+        let damaged = |problem: String| FormatError::Data {
+            path: shown(&chunk.path),
+            problem: format!("chunk: {problem}"),
+        };
+        bytes.map(|bytes| Some(Arc::new(bytes))).map_err(damaged)
+    }
+
+    /// Notes that the chunk or shard at `start` is not there.
+    fn note_absent(&self, start: &[u64]) {
+        if let Some((level, shared)) = self.shared {
+            shared.note_absent((level, start.to_vec()));
+        }
+    }
+
     /// The numbers of a box of selected ones, the last axis fastest. `bytes` are those of the chunk.
     fn gather<'b>(
         &self,
@@ -234,7 +337,7 @@ impl<'a> Chunks<'a> {
     ) -> std::borrow::Cow<'b, [u8]> {
         let size = self.array.dtype.num_bytes();
         let is_plain = self.array.codecs.order.is_sorted() && self.selected.iter().all(|s| s.step == 1);
-        let is_whole = part.iter().zip(self.sides()).all(|(r, n)| r.end - r.start == *n);
+        let is_whole = part.iter().zip(self.array.sides()).all(|(r, n)| r.end - r.start == *n);
         if is_plain && is_whole {
             return bytes.into();
         }
@@ -311,5 +414,7 @@ const LEAST_BYTES: u64 = 16 << 20;
 const MOST_BYTES: u64 = 256 << 20;
 /// Most chunks at once.
 const MAX_AT_ONCE: u64 = 4096;
+/// Chunks in a folder that are not worth several threads.
+const FEW_CHUNKS: usize = 128;
 /// What codecs may add to the numbers.
 const CODEC_BYTES: u64 = 1 << 16;

@@ -3,6 +3,8 @@
 
 mod array;
 mod blosc;
+mod boxes;
+mod cache;
 mod chunks;
 mod codec;
 mod json;
@@ -10,6 +12,7 @@ mod multiscale;
 mod store;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use isinglass_core::volume::MAX_CHANNELS;
 use rayon::prelude::*;
@@ -20,15 +23,22 @@ use self::multiscale::Multiscale;
 use self::store::Store;
 use crate::collector::Collector;
 use crate::error::{FormatError, malformed, not_there};
-use crate::plan::{Memory, Plan, VolumeFile};
+use crate::plan::{BoxLevel, Memory, Plan, VolumeFile};
 use crate::source::OpenOptions;
 use crate::warning::WarningKind;
 use crate::web::WebFolder;
 
 pub(crate) struct ZarrImage {
     plan: Plan,
-    array: Array,
+    pyramid: Arc<ArrayPyramid>,
+    level: usize,
     most_bytes: u64,
+}
+
+/// The levels of an image.
+struct ArrayPyramid {
+    multiscale: Multiscale,
+    arrays: Vec<Array>,
     store: Store,
 }
 
@@ -83,7 +93,7 @@ impl ZarrImage {
             let levels = multiscale.levels.par_iter();
             levels.map(|level| Array::read(&store, &image.join(&level.path))).collect::<Result<Vec<_>, _>>()
         };
-        let mut arrays = store.on_threads(read)?;
+        let arrays = store.on_threads(read)?;
         let level = match options.selection.level {
             Some(level) if level as usize >= arrays.len() => {
                 return Err(not_there(path, "level", level.into(), arrays.len()));
@@ -109,7 +119,8 @@ impl ZarrImage {
             }
             plan.series = series;
         }
-        Ok(Self { plan, array: arrays.swap_remove(level), most_bytes: options.max_bytes, store })
+        let pyramid = Arc::new(ArrayPyramid { multiscale, arrays, store });
+        Ok(Self { plan, pyramid, level, most_bytes: options.max_bytes })
     }
 }
 
@@ -133,7 +144,27 @@ impl VolumeFile for ZarrImage {
     }
 
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
-        read_chunks(&self.array, &self.store, collector, self.most_bytes)
+        let pyramid = &*self.pyramid;
+        read_chunks(&pyramid.arrays[self.level], &pyramid.store, collector, self.most_bytes)
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        let pyramid = &self.pyramid;
+        let plan = |level| pyramid.multiscale.plan(&pyramid.arrays, level);
+        let plans = (0..pyramid.arrays.len()).map(plan).collect::<Result<Vec<_>, _>>();
+        let mut plans = plans.map_err(malformed(path, "OME-Zarr"))?;
+        plans.iter_mut().for_each(|plan| plan.series.clone_from(&self.plan.series));
+        boxes::levels(pyramid, plans, self.most_bytes, path)
+    }
+
+    fn finest_level(&self) -> Option<Box<dyn VolumeFile>> {
+        // Nobody asked for a whole level from the web.
+        if self.level == 0 || matches!(self.pyramid.store, Store::Web(..)) {
+            return None;
+        }
+        let plan = self.pyramid.multiscale.plan(&self.pyramid.arrays, 0).ok()?;
+        let pyramid = Arc::clone(&self.pyramid);
+        Some(Box::new(Self { plan, pyramid, level: 0, most_bytes: self.most_bytes }))
     }
 }
 

@@ -12,9 +12,11 @@ use super::json;
 use super::store::Store;
 use crate::axes::{Geometry, World};
 use crate::error::{FormatError, malformed, quoted};
+use crate::levels::LevelGrid;
 use crate::outline::Level;
 use crate::plan::{Axis, ChannelLook, Plan, Role};
 use crate::units::{length_unit, time_step, time_unit};
+use crate::warning::WarningKind;
 
 /// An image of several levels.
 pub(super) struct Multiscale {
@@ -195,7 +197,7 @@ impl Multiscale {
         if let Some(other) = arrays.iter().find(|a| a.shape.len() != self.axes.len()) {
             return Err(format!("an array has shape {:?}, expected {} axes", other.shape, self.axes.len()));
         }
-        let place = self.transform(arrays, level);
+        let (place, finest) = (self.transform(arrays, level), self.transform(arrays, 0));
         let unit = self.axes.iter().find(|a| a.kind == AxisKind::Space(0)).and_then(|a| a.unit);
         // Converts a length to the unit of x.
         let length = |i: usize, number: f64| match (self.axes[i].unit, unit) {
@@ -204,13 +206,18 @@ impl Multiscale {
         };
         let (mut axes, mut steps, mut origin) = (Vec::new(), Vec::new(), DVec3::ZERO);
         let mut seen = [false; 3];
+        let mut in_finest = LevelGrid::finest([1; 3]);
         for i in (0..self.axes.len()).rev() {
             let role = match self.axes[i].kind {
                 AxisKind::Space(k) => {
                     steps.push(DVec3::AXES[k] * length(i, place.scale[i]));
                     origin[k] = length(i, place.translation[i]);
                     seen[k] = true;
-                    Role::Space(steps.len() - 1)
+                    let axis = steps.len() - 1;
+                    in_finest.finest_dims[axis] = arrays[0].shape[i];
+                    in_finest.step[axis] = place.scale[i] / finest.scale[i];
+                    in_finest.first[axis] = (place.translation[i] - finest.translation[i]) / finest.scale[i];
+                    Role::Space(axis)
                 }
                 AxisKind::Channel => Role::Channel,
                 AxisKind::Time => Role::Time,
@@ -244,6 +251,14 @@ impl Multiscale {
         let in_time = self.axes.iter().zip(&place.scale).find(|(axis, _)| axis.kind == AxisKind::Time);
         plan.time_step = in_time.and_then(|(axis, scale)| time_step(scale * axis.seconds?));
         plan.level = level;
+        if level > 0 {
+            let dims = [0, 1, 2].map(|i| plan.size(Role::Space(i)));
+            plan.in_finest = in_finest.is_alike(dims).then_some(in_finest);
+            if plan.in_finest.is_none() {
+                let text = format!("level {level} lies elsewhere than level 0, so it looks different");
+                plan.warn(WarningKind::Data, text);
+            }
+        }
         if arrays.len() > 1 {
             let spacing = |place: &Transform, k: usize| {
                 let i = self.axes.iter().position(|a| a.kind == AxisKind::Space(k));

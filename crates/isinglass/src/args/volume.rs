@@ -254,8 +254,8 @@ pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &Memor
 }
 
 fn parse_dims(text: &str) -> Result<[u32; 3], String> {
-    parse_three(text).filter(|dims| dims.iter().all(|d| (1..=Volume::MAX_SIDE).contains(d))).ok_or_else(
-        || format!("expected three numbers of voxels, 1 to {}, such as 256,256,128", Volume::MAX_SIDE),
+    parse_three(text).filter(|dims| dims.iter().all(|d| (1..=RawShape::MAX_SIDE).contains(d))).ok_or_else(
+        || format!("expected three numbers of voxels, 1 to {}, such as 256,256,128", RawShape::MAX_SIDE),
     )
 }
 

@@ -1,0 +1,82 @@
+//! Which voxels of a file have no value, as a rule that any part of it can follow.
+
+use isinglass_core::volume::{Volume, Voxels};
+
+/// What stands for no value in a channel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct GapRule {
+    /// Whether a float that is not finite does.
+    pub(crate) has_gaps: bool,
+    /// A number that marks missing floats.
+    pub(crate) mark: Option<f32>,
+    /// The stored number outside of what was measured.
+    pub(crate) padding: Option<f32>,
+}
+
+impl GapRule {
+    /// Whether voxels of this type may be gaps, so that those beside a part count.
+    pub(crate) fn may_find(&self, voxels: &Voxels) -> bool {
+        let is_float = matches!(voxels, Voxels::F32(_));
+        self.padding.is_some() || (is_float && (self.has_gaps || self.mark.is_some()))
+    }
+
+    /// Marks the gaps of a part of `dims` voxels, and fills them as a whole volume does: with the mean of the voxels
+    /// beside them, or else with `elsewhere`. `None` if there are none.
+    ///
+    /// # Errors
+    /// A voxel has no meaning and is no gap.
+    pub(crate) fn apply(
+        &self,
+        voxels: &mut Voxels,
+        dims: [u32; 3],
+        elsewhere: f32,
+    ) -> Result<Option<Vec<u8>>, String> {
+        let is_padding = |x: f32| self.padding == Some(x);
+        let gaps: Vec<u8> = match &*voxels {
+            Voxels::U8(_) | Voxels::U16(_) if self.padding.is_none() => return Ok(None),
+            Voxels::U8(v) => v.iter().map(|&x| u8::from(is_padding(x.into()))).collect(),
+            Voxels::U16(v) => v.iter().map(|&x| u8::from(is_padding(x.into()))).collect(),
+            Voxels::F32(v) => {
+                let is_gap =
+                    |x: f32| (self.has_gaps && !x.is_finite()) || self.mark == Some(x) || is_padding(x);
+                v.iter().map(|&x| u8::from(is_gap(x))).collect()
+            }
+        };
+        if let Voxels::F32(v) = &*voxels {
+            let is_bad = |x: f32| !(x.abs() <= Volume::MAX_MAGNITUDE);
+            let count = v.iter().zip(&gaps).filter(|(x, gap)| **gap == 0 && is_bad(**x)).count();
+            if count > 0 {
+                let most = Volume::MAX_MAGNITUDE;
+                return Err(format!(
+                    "{count} voxels are NaN or infinite or too large, expected at most {most:e}"
+                ));
+            }
+        }
+        if gaps.iter().all(|gap| *gap == 0) {
+            return Ok(None);
+        }
+        voxels.fill_gaps(&gaps, dims, elsewhere);
+        Ok(Some(gaps))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_marked_and_filled_from_beside() {
+        let rule = GapRule { has_gaps: true, mark: Some(-9999.0), padding: Some(7.0) };
+        let numbers = vec![f32::NAN, 1.0, 3.0, -9999.0, 7.0, f32::INFINITY];
+        let mut voxels = Voxels::F32(numbers.clone());
+        assert!(rule.may_find(&voxels));
+        assert_eq!(rule.apply(&mut voxels, [6, 1, 1], -5.0), Ok(Some(vec![1, 0, 0, 1, 1, 1])));
+        assert_eq!(voxels, Voxels::F32(vec![1.0, 1.0, 3.0, 3.0, -5.0, -5.0]));
+        let mut bytes = Voxels::U8(vec![7, 8, 9]);
+        assert_eq!(rule.apply(&mut bytes, [3, 1, 1], 0.0), Ok(Some(vec![1, 0, 0])));
+        // The controls: without a rule, numbers stay, and what is no number is refused.
+        let none = GapRule::default();
+        assert!(none.apply(&mut Voxels::F32(numbers), [6, 1, 1], 0.0).is_err());
+        assert_eq!(none.apply(&mut Voxels::U8(vec![7, 8, 9]), [3, 1, 1], 0.0), Ok(None));
+    }
+}
