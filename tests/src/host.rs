@@ -36,7 +36,6 @@ impl Host {
         let mut threads = tokio::runtime::Builder::new_multi_thread();
         let runtime = threads.worker_threads(2).enable_all().build().expect("threads for the server");
         let options = ServeOptions {
-            pages: None,
             volume: Arc::new(volume),
             look: Look::new(load_transfer(preset).expect("a preset")),
             backend: Backend::Cpu,

@@ -40,7 +40,6 @@ fn play(
     let runtime = threads.worker_threads(2).enable_all().build().unwrap();
     let bounds = volume.bounds();
     let options = ServeOptions {
-        pages: None,
         volume: Arc::new(volume),
         look: look.clone(),
         backend: Backend::Cpu,

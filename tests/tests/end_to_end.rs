@@ -46,7 +46,6 @@ async fn serve_as(builtin: Builtin, plan: CodingPlan) -> RunningServer {
 
 async fn serve_with(builtin: Builtin, plan: CodingPlan, backend: Backend) -> RunningServer {
     start(ServeOptions {
-        pages: None,
         volume: Arc::new(builtin.volume(48)),
         look: look(builtin),
         backend,

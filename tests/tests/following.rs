@@ -42,7 +42,6 @@ impl Host {
             Some(frame)
         }));
         let options = ServeOptions {
-            pages: None,
             volume: Arc::new(Builtin::Cloud.volume(32)),
             look: look(8),
             backend,

@@ -34,7 +34,6 @@ fn look() -> Look {
 
 fn serve(runtime: &Runtime, volume: &Arc<Volume>) -> RunningServer {
     let options = ServeOptions {
-        pages: None,
         volume: volume.clone(),
         look: look(),
         backend: Backend::Cpu,

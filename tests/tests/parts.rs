@@ -88,7 +88,7 @@ impl Loader for Film {
         }
         let time = part.time.unwrap();
         let transfer = load_transfer(["shells", "cubus", "cloud"][time as usize]).unwrap();
-        Ok(Loaded { volume: volume(time), pages: None, transfer, channels: Default::default() })
+        Ok(Loaded { volume: volume(time), transfer, channels: Default::default() })
     }
 }
 

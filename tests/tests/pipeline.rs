@@ -80,7 +80,6 @@ fn play(machine: Machine, mode: CodingMode, rtt: Duration) -> Outcome {
     let threads = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
     let clock = Clock::start();
     let options = ServeOptions {
-        pages: None,
         volume: Arc::new(Builtin::Cubus.volume(16)),
         look: Look::new(load_transfer("cubus").unwrap()),
         backend: Backend::Cpu,

@@ -35,7 +35,6 @@ impl Host {
         let runtime =
             tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
         let options = ServeOptions {
-            pages: None,
             volume: Arc::new(Builtin::Shells.volume(SIDE)),
             look: look(8),
             backend: Backend::Cpu,

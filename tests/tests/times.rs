@@ -105,7 +105,6 @@ impl Loader for Film {
             }
         }
         Ok(Loaded {
-            pages: None,
             volume: self.read(part),
             transfer: load_transfer("smooth").unwrap(),
             channels: Default::default(),

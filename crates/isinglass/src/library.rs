@@ -92,7 +92,7 @@ impl Loader for FileLoader {
         let volume = open(&self.request.source, &options).map_err(|e| e.to_string())?;
         let transfer = self.transfer_of(&volume);
         let channels = default_channels(&volume);
-        Ok(Loaded { volume, pages: None, transfer, channels })
+        Ok(Loaded { volume, transfer, channels })
     }
 }
 

@@ -76,7 +76,6 @@ impl LocalServers for Locals {
         };
         let bytes = opened.volume.bytes_in_memory();
         let options = ServeOptions {
-            pages: None,
             volume: opened.volume,
             look,
             backend: self.backend()?,

@@ -43,15 +43,13 @@ use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
 
 pub use counters::Counters;
-pub use paging::{FramePages, PagedVolume, Pager};
+pub use paging::{FramePages, Pager};
 pub use selection::{Loaded, Loader, Survey};
 
 /// Options of a server.
 pub struct ServeOptions {
-    /// The volume; of one that is read by pages, its coarsest level.
+    /// The volume.
     pub volume: Arc<Volume>,
-    /// The pages of a volume that does not fit into memory.
-    pub pages: Option<PagedVolume>,
     /// The first look of viewers; must be valid.
     pub look: Look,
     /// Where kernels run.
@@ -152,10 +150,10 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningServer, ServeError> {
-    let ServeOptions { volume, pages, look, backend, listen, plan, max_viewers, .. } = options;
-    let ServeOptions { frame_memory, library, timing, .. } = options;
+    let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
+        options;
     let Timing { clock, after_work } = timing;
-    let pager = pages.map(|pages| Pager::start(pages, &volume)).transpose()?;
+    let pager = Pager::of(&volume)?;
     let scene = Scene::of_look(volume, &look);
     let memory = FrameMemory::new(frame_memory);
     let ahead = ReadAhead::new(library.as_ref().map_or(0, |l| l.volume_memory), &memory);

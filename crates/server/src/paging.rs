@@ -4,27 +4,13 @@ use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
+use isinglass_core::kernels::march::{Scene, SeenPages};
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{
     Page, PageError, PageId, PagePlan, PageProgress, PageSet, PageSource, PageView, PlanKey, Residency,
     Volume, VolumeError,
 };
 use tokio::sync::watch;
-
-/// A volume that is read by pages.
-#[derive(Clone)]
-pub struct PagedVolume {
-    /// Reads the pages. Its coarsest level is the volume that is served.
-    pub source: Arc<dyn PageSource>,
-    /// Most memory of the pages, bytes.
-    pub max_bytes: u64,
-}
-
-impl std::fmt::Debug for PagedVolume {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PagedVolume").field("max_bytes", &self.max_bytes).finish_non_exhaustive()
-    }
-}
 
 /// The pages that a frame shows.
 #[derive(Clone, Debug)]
@@ -56,6 +42,7 @@ pub struct Pager {
 
 struct Shared {
     source: Arc<dyn PageSource>,
+    ranges: Option<Arc<dyn PageRanges>>,
     num_channels: usize,
     max_bytes: u64,
     state: Mutex<State>,
@@ -66,7 +53,9 @@ struct Shared {
 
 struct State {
     residency: Residency,
-    views: HashMap<PlanKey, (PageView, usize)>,
+    views: HashMap<PlanKey, (PageView, usize, Option<Arc<SeenPages>>)>,
+    /// What the newest looks leave visible, by known values.
+    seen: Vec<(Scene, Arc<SeenPages>)>,
     sets: HashMap<PlanKey, (u64, Arc<PageSet>)>,
     is_over: bool,
 }
@@ -89,12 +78,16 @@ impl std::fmt::Debug for Pager {
 }
 
 impl Pager {
-    /// Starts to read pages of a volume whose coarsest level is `base`.
+    /// Starts to read the pages of a volume; `None` if it is in memory whole.
     ///
     /// # Errors
-    /// If `base` is not that level.
-    pub fn start(volume: PagedVolume, base: &Volume) -> Result<Self, VolumeError> {
-        let PagedVolume { source, max_bytes } = volume;
+    /// If the volume is not the coarsest level of its pages.
+    pub fn of(base: &Volume) -> Result<Option<Self>, VolumeError> {
+        base.paging().map(|paging| Self::start(paging.clone(), base)).transpose()
+    }
+
+    fn start(paging: Paging, base: &Volume) -> Result<Self, VolumeError> {
+        let Paging { source, ranges, max_bytes } = paging;
         let pyramid = Arc::new(source.pyramid().clone());
         let pages = pyramid.base_pages(base)?;
         let num_channels = base.channels().count();
@@ -102,12 +95,13 @@ impl Pager {
         // The pages of the coarsest level count, too.
         let max_pages = (max_bytes / page_bytes) as usize;
         let residency = Residency::new(pyramid, pages.clone(), max_pages.saturating_sub(pages.len()));
-        let (views, sets, is_over) = (HashMap::new(), HashMap::new(), false);
+        let (views, seen, sets, is_over) = (HashMap::new(), Vec::new(), HashMap::new(), false);
         let shared = Arc::new(Shared {
             source,
+            ranges,
             num_channels,
             max_bytes,
-            state: Mutex::new(State { residency, views, sets, is_over }),
+            state: Mutex::new(State { residency, views, seen, sets, is_over }),
             work: Condvar::new(),
             changed: watch::channel(0).0,
         });
@@ -128,15 +122,20 @@ impl Pager {
         self.shared.max_bytes
     }
 
-    /// The pages for a viewer's next frame. What is missing is read from now on.
-    pub fn pages(&self, viewer: ViewerId, view: &PageView) -> FramePages {
+    /// The pages for a viewer's next frame of `scene`. What is missing is read from now on.
+    pub fn pages(&self, viewer: ViewerId, view: &PageView, scene: &Scene) -> FramePages {
         let key = PlanKey::from(viewer.0);
         let mut state = self.shared.state();
         let room = state.residency.share(key);
-        if state.views.get(&key).is_none_or(|known| (&known.0, known.1) != (view, room)) {
-            let plan = PagePlan::of(state.residency.pyramid(), view, room, |_| true);
+        let seen = self.shared.seen(&mut state, scene);
+        let is_same = |(known, of, by): &(PageView, usize, Option<Arc<SeenPages>>)| {
+            (known, *of) == (view, room) && same(by.as_ref(), seen.as_ref())
+        };
+        if !state.views.get(&key).is_some_and(is_same) {
+            let is_visible = |id: PageId| seen.as_ref().is_none_or(|seen| seen.sees(id));
+            let plan = PagePlan::of(state.residency.pyramid(), view, room, is_visible);
             state.residency.set_plan(key, plan);
-            state.views.insert(key, (view.clone(), room));
+            state.views.insert(key, (view.clone(), room, seen));
             state.sets.remove(&key);
             self.shared.work.notify_all();
         }
@@ -154,8 +153,12 @@ impl Pager {
 
     /// The pages of a viewer's newest view, as they are now.
     pub fn shown(&self, viewer: ViewerId) -> Option<FramePages> {
-        let view = self.shared.state().views.get(&PlanKey::from(viewer.0)).map(|(view, _)| view.clone());
-        view.map(|view| self.pages(viewer, &view))
+        let key = PlanKey::from(viewer.0);
+        let state = self.shared.state();
+        let view = &state.views.get(&key)?.0;
+        let (version, set) = state.sets.get(&key)?;
+        let progress = state.residency.progress(key);
+        Some(FramePages { set: set.clone(), progress, rests: view.rests, version: *version })
     }
 
     /// Whether pages of a viewer's view are still to come.
@@ -179,9 +182,15 @@ impl Pager {
 
     /// Waits until all pages of a view are there or given up, and returns them; soon after `is_wanted` turns false those
     /// so far.
-    pub fn settled(&self, viewer: ViewerId, view: &PageView, is_wanted: &dyn Fn() -> bool) -> FramePages {
+    pub fn settled(
+        &self,
+        viewer: ViewerId,
+        view: &PageView,
+        scene: &Scene,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> FramePages {
         loop {
-            let pages = self.pages(viewer, view);
+            let pages = self.pages(viewer, view, scene);
             if !pages.progress.is_loading() || !is_wanted() {
                 return pages;
             }
@@ -194,6 +203,18 @@ impl Shared {
     fn state(&self) -> MutexGuard<'_, State> {
         // Every change is one call of the residency, so a panic leaves it in order.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What a scene leaves visible, if the values of pages are known.
+    fn seen(&self, state: &mut State, scene: &Scene) -> Option<Arc<SeenPages>> {
+        let ranges = self.ranges.as_ref()?;
+        if let Some((_, known)) = state.seen.iter().find(|(known, _)| known.is_seen_like(scene)) {
+            return Some(known.clone());
+        }
+        let seen = Arc::new(SeenPages::of(state.residency.pyramid(), scene, &**ranges));
+        state.seen.truncate(MAX_SEEN - 1);
+        state.seen.insert(0, (scene.without_pages(), seen.clone()));
+        Some(seen)
     }
 
     /// Reads pages until the pager ends.
@@ -233,6 +254,12 @@ impl Shared {
     }
 }
 
+fn same(a: Option<&Arc<SeenPages>>, b: Option<&Arc<SeenPages>>) -> bool {
+    a.map(Arc::as_ptr) == b.map(Arc::as_ptr)
+}
+
+/// Looks whose visible pages are remembered.
+const MAX_SEEN: usize = 4;
 /// Most threads that read: disks and servers answer several at once.
 const MAX_READERS: usize = 8;
 /// Time between looks at what is there.

@@ -160,17 +160,15 @@ impl RenderThread {
         if order.scene != self.scene {
             return Err(GenerateError::OtherVolume);
         }
-        let pages = match (&begun, &self.pager) {
-            (Some(begun), _) => begun.pages.clone(),
-            (None, Some(pager)) => {
-                let region = order.look.clip.region(&self.renderer.scene().volume.bounds());
-                let view = PageView { camera: order.header.camera, region, rests: order.rests };
-                Some(pager.pages(order.viewer, &view))
-            }
-            (None, None) => None,
-        };
+        let mut pages = begun.as_ref().and_then(|begun| begun.pages.clone());
         if begun.as_ref().is_none_or(|begun| begun.frame.needs_its_scene()) {
             self.prepare(order.scene, &order.look, order.near.as_ref(), None)?;
+            if let (None, Some(pager)) = (&begun, &self.pager) {
+                let scene = self.renderer.scene();
+                let view =
+                    PageView { camera: order.header.camera, region: scene.region(), rests: order.rests };
+                pages = Some(pager.pages(order.viewer, &view, scene));
+            }
             self.show(pages.as_ref())?;
         }
         let begun = match begun {

@@ -23,7 +23,7 @@ use tokio::task::JoinHandle;
 use crate::ahead::{Read, ReadAhead};
 use crate::generator::{Generator, renderer_of};
 use crate::lights::Lights;
-use crate::paging::{PagedVolume, Pager};
+use crate::paging::Pager;
 
 /// Opens parts of the volume's file. This crate opens no files itself: the server's owner supplies a loader.
 ///
@@ -54,10 +54,8 @@ pub struct Survey {
 /// A part that was read.
 #[derive(Debug)]
 pub struct Loaded {
-    /// The voxels; of a volume that is read by pages, its coarsest level.
+    /// The voxels.
     pub volume: Volume,
-    /// The pages of a volume that does not fit into memory.
-    pub pages: Option<PagedVolume>,
     /// The transfer function that suits the voxels; must be valid.
     pub transfer: TransferFunction,
     /// The looks of its channels; must be valid.
@@ -357,9 +355,8 @@ impl SelectionReader {
             if cancelled.load(Ordering::Relaxed) {
                 return Err(NotRead::Failed("cancelled".into()));
             }
-            let Loaded { volume, pages, transfer, channels } = loaded;
-            let pager = pages.map(|pages| Pager::start(pages, &volume)).transpose();
-            let pager = pager.map_err(|e| NotRead::Failed(e.to_string()))?;
+            let Loaded { volume, transfer, channels } = loaded;
+            let pager = Pager::of(&volume).map_err(|e| NotRead::Failed(e.to_string()))?;
             let look = Look { transfer, channels, ..look };
             let scene = Scene::of_look(Arc::new(volume), &look);
             Ok(Read { scene, look, parts: survey.parts, pager })

@@ -78,7 +78,7 @@ impl Loader for Film {
             ..OpenOptions::default()
         };
         let volume = open(&self.source, &options).map_err(|e| e.to_string())?;
-        Ok(Loaded { volume, pages: None, transfer: look().transfer, channels: Default::default() })
+        Ok(Loaded { volume, transfer: look().transfer, channels: Default::default() })
     }
 }
 
@@ -138,7 +138,6 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
                 let film = Film { source: source.clone() };
                 let loaded = film.load(&part, &|_| (), &AtomicBool::new(false)).unwrap();
                 let options = ServeOptions {
-                    pages: None,
                     volume: Arc::new(loaded.volume),
                     look: look(),
                     backend: Backend::Cpu,

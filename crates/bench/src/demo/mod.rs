@@ -229,7 +229,6 @@ impl Host {
             .build()
             .map_err(|e| failed("no threads for the server", &e))?;
         let serve = ServeOptions {
-            pages: None,
             volume: opened.scene.volume.clone(),
             look: options.look(opened),
             backend: backend.clone(),

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::gaps::{self, VoxelGaps};
-use super::pyramid::Finest;
+use super::pyramid::{Finest, Paging};
 pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
@@ -143,6 +143,8 @@ pub struct Volume {
     gaps: Option<Arc<VoxelGaps>>,
     /// See [`Volume::with_finest`].
     finest: Option<Arc<Finest>>,
+    /// See [`Volume::with_paging`].
+    paging: Option<Paging>,
     /// Name, type and remarks.
     pub info: VolumeInfo,
 }
@@ -246,7 +248,7 @@ impl Volume {
                 offset: value_offset,
             });
         }
-        let (others, gaps, finest) = (Vec::new(), None, None);
+        let (others, gaps, finest, paging) = (Vec::new(), None, None, None);
         Ok(Self {
             dims,
             spacing,
@@ -257,6 +259,7 @@ impl Volume {
             others,
             gaps,
             finest,
+            paging,
             info,
         })
     }
@@ -296,6 +299,16 @@ impl Volume {
     /// The finest level of the pyramid that the volume is a level of.
     pub fn finest(&self) -> Option<&Arc<Finest>> {
         self.finest.as_ref()
+    }
+
+    /// The volume as the coarsest level of one that is read by pages.
+    pub fn with_paging(self, paging: Paging) -> Self {
+        Self { paging: Some(paging), ..self }
+    }
+
+    /// How the finer levels are read, if this is the coarsest of a volume that is read by pages.
+    pub fn paging(&self) -> Option<&Paging> {
+        self.paging.as_ref()
     }
 
     fn is_fit(&self, stored: f32) -> bool {

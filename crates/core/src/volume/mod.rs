@@ -34,8 +34,8 @@ pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use opacities::{opacity_table, opacity_volume};
 pub use pages::{Page, PageSet, page_of};
 pub use pyramid::{
-    Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageSource, PageVoxels, Pyramid,
-    PyramidLevel, VoxelKind,
+    Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageRanges, PageSource, PageVoxels,
+    Paging, Pyramid, PyramidLevel, VoxelKind,
 };
 pub use residency::{PagePlan, PageProgress, PageView, PlanKey, Residency, TRIES};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};

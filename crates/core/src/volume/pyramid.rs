@@ -108,6 +108,29 @@ pub trait PageSource: Send + Sync {
     fn read(&self, channel: usize, page: PageId) -> Result<PageVoxels, PageError>;
 }
 
+/// How a volume that does not fit into memory is read by pages. Clones share the reader.
+#[derive(Clone)]
+pub struct Paging {
+    /// Reads the pages.
+    pub source: Arc<dyn PageSource>,
+    /// Known values of the pages, so that those of which nothing is seen are not read.
+    pub ranges: Option<Arc<dyn PageRanges>>,
+    /// Most memory of the pages, bytes.
+    pub max_bytes: u64,
+}
+
+impl std::fmt::Debug for Paging {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Paging").field("max_bytes", &self.max_bytes).finish_non_exhaustive()
+    }
+}
+
+/// Knows the values of a volume's pages.
+pub trait PageRanges: Send + Sync {
+    /// Least and greatest stored number of a channel in a page of the finest level; `None` if unknown.
+    fn range(&self, channel: usize, at: [u32; 3]) -> Option<(f32, f32)>;
+}
+
 impl Pyramid {
     /// Voxels along x, y, z of the finest level.
     pub fn dims(&self) -> [u32; 3] {

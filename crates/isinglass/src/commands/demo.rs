@@ -173,7 +173,6 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let state = Some(SavedState { look: None, ..state });
     let bytes = opened.volume.bytes_in_memory();
     let options = ServeOptions {
-        pages: None,
         volume: opened.volume,
         look,
         backend: args.backend.open()?,

@@ -95,7 +95,6 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
     let description = backend.description();
     let bytes = opened.volume.bytes_in_memory();
     let options = ServeOptions {
-        pages: None,
         volume: opened.volume,
         look,
         backend,

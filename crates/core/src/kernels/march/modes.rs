@@ -94,7 +94,7 @@ pub(super) fn occupancy(
 }
 
 /// Whether a sample between two stored numbers may be visible; it errs on the side of yes.
-fn is_visible(mode: Mode, table: &TransferTable, surfaces: &[Surface], lo: f32, hi: f32) -> bool {
+pub(super) fn is_visible(mode: Mode, table: &TransferTable, surfaces: &[Surface], lo: f32, hi: f32) -> bool {
     let (a, b) = table.positions(lo, hi);
     let clamped = |x: f32| x.clamp(0.0, 1.0);
     match mode {

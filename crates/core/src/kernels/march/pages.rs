@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use super::{Scene, modes};
 use crate::transfer::TransferTable;
 use crate::volume::{
-    Bricks, Detail, Lit, Occupancy, Page, PageId, PageSet, Volume, opacity_table, opacity_volume,
+    Bricks, Detail, Lit, Occupancy, Page, PageId, PageRanges, PageSet, Pyramid, PyramidLevel, Volume,
+    opacity_table, opacity_volume,
 };
 
 /// The pages of a scene, each under the scene's look.
@@ -128,6 +129,19 @@ impl Scene {
         modes::occupancy(bricks, self.settings.mode, &self.table, &self.surfaces)
     }
 
+    /// Whether any of the marched channels may be seen where its stored numbers are within a range.
+    fn sees_values(&self, range: &dyn Fn(usize) -> Option<(f32, f32)>) -> bool {
+        self.tables().any(|(channel, table)| {
+            range(channel).is_none_or(|(lo, hi)| {
+                if self.is_mixed() {
+                    table.is_visible(lo, hi)
+                } else {
+                    modes::is_visible(self.settings.mode, table, &self.surfaces, lo, hi)
+                }
+            })
+        })
+    }
+
     fn light_of(&self, page: &Page) -> Option<Lit> {
         if !self.is_mixed() {
             return self.illumination.of_page(self.first_of_page(page), &self.table);
@@ -137,7 +151,8 @@ impl Scene {
         self.illumination.of_page(&opacities, &opacity_table(&opacities))
     }
 
-    fn is_seen_like(&self, other: &Self) -> bool {
+    /// Whether the same values are visible in both.
+    pub fn is_seen_like(&self, other: &Self) -> bool {
         (self.settings.mode, self.first_channel, &self.surfaces, self.blend)
             == (other.settings.mode, other.first_channel, &other.surfaces, other.blend)
             && self.tables().eq(other.tables())
@@ -150,6 +165,45 @@ impl Scene {
             (a, b) => a.is_none() && b.is_none(),
         }
     }
+}
+
+/// The pages of which anything may be seen under a look, by their known values.
+#[derive(Debug)]
+pub struct SeenPages {
+    /// Pages of each level along x, y, z, and whether each is seen.
+    levels: Vec<([u32; 3], Vec<bool>)>,
+}
+
+impl SeenPages {
+    /// The pages that `scene` leaves visible. A page whose values are unknown may be seen.
+    pub fn of(pyramid: &Pyramid, scene: &Scene, ranges: &dyn PageRanges) -> Self {
+        let mut levels = Vec::new();
+        let grid = pyramid.pages(0);
+        let is_seen = |at| scene.sees_values(&|channel| ranges.range(channel, at));
+        let finest: Vec<bool> = places(grid).map(is_seen).collect();
+        for (level, PyramidLevel { factor, .. }) in pyramid.levels.iter().enumerate() {
+            let pages = pyramid.pages(level);
+            let index = |[x, y, z]: [u32; 3]| ((z * pages[1] + y) * pages[0] + x) as usize;
+            let mut seen = vec![false; pages.iter().map(|n| *n as usize).product()];
+            // A page of means has no value that its parts do not enclose.
+            for (at, _) in places(grid).zip(&finest).filter(|(_, is_seen)| **is_seen) {
+                seen[index(std::array::from_fn(|i| (at[i] / factor[i]).min(pages[i] - 1)))] = true;
+            }
+            levels.push((pages, seen));
+        }
+        Self { levels }
+    }
+
+    /// Whether anything of a page may be seen.
+    pub fn sees(&self, id: PageId) -> bool {
+        let Some(([nx, ny, _], seen)) = self.levels.get(usize::from(id.level)) else { return true };
+        let [x, y, z] = id.at;
+        seen.get(((z * ny + y) * nx + x) as usize).copied().unwrap_or(true)
+    }
+}
+
+fn places([nx, ny, nz]: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
+    (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
 }
 
 /// Whether one of the four bytes of a word is 0.
