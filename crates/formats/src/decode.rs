@@ -194,11 +194,11 @@ impl VoxelSink {
                     warnings.push(Warning::new(WarningKind::Values, text));
                 }
             }
-            if matches!(self.dtype, Dtype::Half | Dtype::Float | Dtype::Double) {
-                if let Some((found, warning)) = fill_gaps(v, &mut gaps) {
-                    mark = Some(found);
-                    warnings.push(warning);
-                }
+            if matches!(self.dtype, Dtype::Half | Dtype::Float | Dtype::Double)
+                && let Some((found, warning)) = fill_gaps(v, &mut gaps)
+            {
+                mark = Some(found);
+                warnings.push(warning);
             }
         }
         if self.num_rounded > 0 {

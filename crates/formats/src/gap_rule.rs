@@ -43,7 +43,7 @@ impl GapRule {
             }
         };
         if let Voxels::F32(v) = &*voxels {
-            let is_bad = |x: f32| !(x.abs() <= Volume::MAX_MAGNITUDE);
+            let is_bad = |x: f32| x.is_nan() || x.abs() > Volume::MAX_MAGNITUDE;
             let count = v.iter().zip(&gaps).filter(|(x, gap)| **gap == 0 && is_bad(**x)).count();
             if count > 0 {
                 let most = Volume::MAX_MAGNITUDE;

@@ -120,6 +120,13 @@ impl VolumeFile for MetaImageFile {
         }
     }
 
+    fn data_files(&self) -> Vec<PathBuf> {
+        match &self.data {
+            Data::Local(_) => Vec::new(),
+            Data::Files(files) => files.clone(),
+        }
+    }
+
     fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
         if self.is_packed || self.is_text {
             let found = if self.is_text { "numbers as text" } else { "zlib" };

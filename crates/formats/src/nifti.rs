@@ -104,6 +104,10 @@ impl VolumeFile for NiftiFile {
         data.take(collector, &self.data, self.skip, num_bytes)
     }
 
+    fn data_files(&self) -> Vec<PathBuf> {
+        vec![self.data.clone()]
+    }
+
     fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
         if self.packing != Packing::Plain {
             return Err(FormatError::NotPaged { path: shown(path), found: "gzip".into() });

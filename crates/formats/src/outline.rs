@@ -72,9 +72,21 @@ pub struct Outline {
     pub bytes_in_memory: u64,
     /// Bytes that the voxels take during reading.
     pub bytes_while_reading: u64,
+    /// The pages that the volume can be read by, if [`crate::page_count`] was asked and it can.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pages: Option<PageCount>,
     /// Warnings about the header and the selection.
     #[serde(skip)]
     pub warnings: Vec<Warning>,
+}
+
+/// The pages of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct PageCount {
+    /// Levels of the file that have pages.
+    pub levels: u32,
+    /// Pages of the finest level.
+    pub finest: u64,
 }
 
 /// One level of a pyramid.
@@ -115,6 +127,10 @@ impl fmt::Display for Outline {
             let [x, y, z] = level.spacing;
             let mark = if i as u32 == self.level { " (shown)" } else { "" };
             writeln!(f, "  level {i:<6} {}, spacing {x} × {y} × {z}{mark}", sides(&level.dims))?;
+        }
+        if let Some(PageCount { levels, finest }) = self.pages {
+            let levels = if levels == 1 { "1 level".to_owned() } else { format!("{levels} levels") };
+            writeln!(f, "  by pages     {finest} of 64 × 64 × 64 in the finest of {levels}")?;
         }
         for (i, series) in self.series.iter().enumerate() {
             writeln!(f, "  series {i:<5} {series}")?;

@@ -1,7 +1,7 @@
 //! The contents of a header in the terms of all formats, and the selection of a volume.
 
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use isinglass_core::volume::{MAX_CHANNELS, Volume, VolumeLabel};
 
@@ -337,6 +337,7 @@ impl Plan {
             directions: grid.placement.map(|p| p.axes),
             bytes_in_memory: chosen.memory.when_read(chosen.channels.len() as u64),
             bytes_while_reading: chosen.memory.while_reading(chosen.channels.len() as u64),
+            pages: None,
             warnings: chosen.warnings.clone(),
         }
     }
@@ -407,6 +408,11 @@ pub(crate) trait VolumeFile {
 
     /// Passes the selected voxels to `collector`, in the order of the file.
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError>;
+
+    /// Files and folders beside the one that was opened whose change changes the voxels.
+    fn data_files(&self) -> Vec<PathBuf> {
+        Vec::new()
+    }
 
     /// Readers of boxes of its levels, finest first.
     ///

@@ -12,6 +12,7 @@ use crate::gap_rule::GapRule;
 use crate::labels::mark_labels;
 use crate::levels::KnownNumbers;
 use crate::padding;
+use crate::paged::IndexPlace;
 use crate::plan::{Chosen, Plan, VolumeFile};
 use crate::reading::Reading;
 use crate::selection::Selection;
@@ -89,7 +90,12 @@ fn finest_numbers(
     path: &Path,
     options: &OpenOptions,
 ) -> Result<Option<Vec<KnownNumbers>>, FormatError> {
-    let (Some(in_finest), Some(finest)) = (&chosen.in_finest, file.finest_level()) else { return Ok(None) };
+    let Some(in_finest) = &chosen.in_finest else { return Ok(None) };
+    let kept = IndexPlace::of(file, path, in_finest.region, options).and_then(|place| place.read());
+    if let Some(index) = kept.filter(|index| index.num_channels() == volumes.len()) {
+        return Ok(Some(index.known()));
+    }
+    let Some(finest) = file.finest_level() else { return Ok(None) };
     let held: u64 = volumes.iter().map(Volume::bytes_in_memory).sum();
     let max_bytes = options.max_bytes.saturating_sub(held).min(MOST_READ_FOR_NUMBERS);
     let channel = (chosen.channels.len() == 1).then_some(chosen.channels.start);
@@ -164,6 +170,6 @@ fn window((from, to): (f64, f64)) -> Option<(f32, f32)> {
 }
 
 /// What is said of a level that is shown by its own numbers.
-const UNKNOWN_NUMBERS: &str = "the finest level's values are not known, so colours may differ between levels; `isinglass index` reads them";
+pub(crate) const UNKNOWN_NUMBERS: &str = "the finest level's values are not known, so colours may differ between levels; `isinglass index` reads them";
 /// 256 MiB: a finest level of at most this size is read for its numbers.
-const MOST_READ_FOR_NUMBERS: u64 = 256 << 20;
+pub(crate) const MOST_READ_FOR_NUMBERS: u64 = 256 << 20;

@@ -39,6 +39,8 @@ pub struct OpenOptions<'a> {
     pub foreign_files: bool,
     /// How the numbers become voxels.
     pub reading: &'a Reading,
+    /// The folder with indices of volumes that were read before, which this may add to.
+    pub index_folder: Option<&'a Path>,
     /// Called now and then with the fraction that has been read, 0 to 1.
     pub progress: Option<&'a dyn Fn(f32)>,
     /// Set this flag to stop reading.
@@ -54,6 +56,7 @@ impl Default for OpenOptions<'_> {
             max_bytes: DEFAULT_MAX_BYTES,
             foreign_files: false,
             reading: Reading::USUAL,
+            index_folder: None,
             progress: None,
             cancel: None,
         }

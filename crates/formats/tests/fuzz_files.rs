@@ -17,7 +17,8 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 use fuzzing::{ALLOCATED, MOST, Random};
-use isinglass_formats::{OpenOptions, Selection, open, outline};
+use isinglass_core::volume::{PAGE_VOXELS, PageId};
+use isinglass_formats::{OpenOptions, Selection, open, open_paged, outline};
 use support::unpack;
 
 /// Runs one format at a time, so that its memory can be measured.
@@ -196,6 +197,9 @@ fn fuzz(archive: &str, duration: Duration, most: u64, seed: u64) -> (u64, u64) {
         assert!(used <= MOST_BYTES, "{used} bytes allocated, {source}, state {state:#x}");
         // Small files take milliseconds; a machine under load may take many times as long.
         assert!(took < Duration::from_secs(30), "{took:?}, {source}, state {state:#x}");
+        check_pages(source, OpenOptions { selection: Selection { level: None, ..selection }, ..options });
+        let used = MOST.load(Relaxed) - before;
+        assert!(used <= MOST_PAGED_BYTES, "{used} bytes allocated, {source}, state {state:#x}");
         slowest = slowest.max(took);
         largest = largest.max(used);
         match volume {
@@ -218,6 +222,29 @@ fn fuzz(archive: &str, duration: Duration, most: u64, seed: u64) -> (u64, u64) {
     }
     eprintln!("{archive}: {inputs} inputs, {opened} opened, slowest {slowest:?}, largest {largest} bytes");
     (inputs, opened)
+}
+
+/// Reads some pages of what opens by pages. What fails is one line.
+fn check_pages(source: &str, options: OpenOptions) {
+    let is_line = |message: String| {
+        assert!(!message.contains(char::is_control) && message.len() < 800, "{message:?}");
+    };
+    match open_paged(source, &options) {
+        Ok(paged) => {
+            let pyramid = paged.source.pyramid();
+            for level in 0..pyramid.levels.len() {
+                let last = pyramid.pages(level).map(|n| n - 1);
+                for at in [[0; 3], last] {
+                    let page = PageId { level: level as u8, at };
+                    match paged.source.read(0, page) {
+                        Ok(page) => assert_eq!(page.voxels.len(), PAGE_VOXELS),
+                        Err(e) => is_line(e.to_string()),
+                    }
+                }
+            }
+        }
+        Err(e) => is_line(e.to_string()),
+    }
 }
 
 fn some(archive: &str) {
@@ -254,6 +281,8 @@ targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd dicom_coded dicom
 
 /// Memory limit for the voxels.
 const MEMORY_LIMIT: u64 = 1 << 20;
+/// Memory limit of reading by pages: some pages, and the chunks that are kept.
+const MOST_PAGED_BYTES: usize = 96 << 20;
 /// Memory limit in all: voxels and their second copy, the decompressed file, and a few megabytes of headers, tables
 /// and buffers.
 const MOST_BYTES: usize = 24 << 20;

@@ -10,8 +10,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use isinglass_core::volume::Volume;
-use isinglass_formats::{FormatError, OpenOptions, Selection, open, outline, source_exists};
+use isinglass_core::volume::{PageError, PageId, Volume};
+use isinglass_formats::{FormatError, OpenOptions, Selection, open, open_paged, outline, source_exists};
 use tempfile::TempDir;
 
 /// A server of the files in a folder, over HTTP/1.1 with kept connections and ranges.
@@ -166,6 +166,75 @@ fn an_image_at_an_address_is_the_one_in_its_folder() {
     fs::write(path.join("0/0/0/1"), vec![0; 200_000]).unwrap();
     let message = opened(&source, all).unwrap_err().to_string();
     assert!(message.contains("0/0/1") && message.contains("expected at most"), "{message}");
+}
+
+#[test]
+fn pages_at_an_address_are_those_of_the_folder_and_ask_for_each_chunk_once() {
+    let folder = TempDir::new().unwrap();
+    let path = image(folder.path());
+    let server = FileServer::start(folder.path());
+    let source = format!("{}/an%20image.zarr", server.address);
+    let [here, there] =
+        [path.to_str().unwrap(), &source].map(|source| open_paged(source, &OpenOptions::default()).unwrap());
+    let is_fine = |name: &&String| name.contains("/0/") && !name.contains("/.z") && !name.ends_with("json");
+    assert_eq!(server.requests().iter().filter(is_fine).count(), 0, "only the coarse level was read");
+    assert!(there.index.is_none() && here.index.is_some());
+    for level in 0..2 {
+        let page = PageId { level, at: [0; 3] };
+        assert_eq!(there.source.read(0, page), here.source.read(0, page));
+        there.source.read(0, page).unwrap();
+    }
+    assert_eq!(server.requests().iter().filter(is_fine).count(), 8);
+}
+
+/// A server of a folder that answers 503 to requests of `busy` names.
+fn busy_server(folder: &Path, busy: &'static str) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}", listener.local_addr().unwrap());
+    let folder = folder.to_owned();
+    thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            let mut line = String::new();
+            let mut reader = BufReader::new(stream.try_clone().unwrap());
+            let _ = reader.read_line(&mut line);
+            while reader.read_line(&mut String::new()).is_ok_and(|n| n > 2) {}
+            let name = line.split(' ').nth(1).unwrap_or_default().trim_start_matches('/').replace("%20", " ");
+            let answer = match fs::read(folder.join(&name)) {
+                _ if name.contains(busy) => {
+                    b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".to_vec()
+                }
+                Ok(bytes) => {
+                    let head = format!(
+                        "HTTP/1.1 200 OK\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
+                        bytes.len()
+                    );
+                    [head.into_bytes(), bytes].concat()
+                }
+                Err(_) => b"HTTP/1.1 404 No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".to_vec(),
+            };
+            let _ = stream.write_all(&answer);
+        }
+    });
+    address
+}
+
+#[test]
+fn a_page_of_a_busy_server_is_unreachable_and_one_of_a_damaged_chunk_is_damaged() {
+    let folder = TempDir::new().unwrap();
+    let path = image(folder.path());
+    let read = |busy| {
+        let source = format!("{}/an%20image.zarr", busy_server(folder.path(), busy));
+        let paged = open_paged(&source, &OpenOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+        paged.source.read(0, PageId { level: 0, at: [0; 3] })
+    };
+    let busy = read("/0/1/1/1").unwrap_err();
+    assert!(matches!(&busy, PageError::Unreachable(text) if text.contains("answers 503")), "{busy}");
+    fs::write(path.join("0/1/1/1"), [1, 2, 3]).unwrap();
+    let damaged = read("nothing").unwrap_err();
+    assert!(
+        matches!(&damaged, PageError::Damaged(text) if text.contains("3 bytes, expected 64")),
+        "{damaged}"
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Servers in this process for volumes that are opened in the viewer's window, and the folder of the window's list.
 
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use isinglass_client::{LocalServer, LocalServers, Services};
@@ -132,6 +132,24 @@ pub(crate) fn services(
 /// The file of the window's choices.
 pub(crate) fn choices_file() -> Option<PathBuf> {
     state_folder().map(|folder| folder.join("choices.toml"))
+}
+
+/// The folder of what is known of the values of large files, which can be made anew.
+pub(crate) fn index_folder() -> Option<&'static Path> {
+    static FOLDER: OnceLock<Option<PathBuf>> = OnceLock::new();
+    let find = || {
+        let variable =
+            |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+        let folder = if cfg!(windows) {
+            variable("LOCALAPPDATA")
+        } else if cfg!(target_os = "macos") {
+            std::env::home_dir().map(|home| home.join("Library/Caches"))
+        } else {
+            variable("XDG_CACHE_HOME").or_else(|| std::env::home_dir().map(|home| home.join(".cache")))
+        };
+        Some(folder?.join("isinglass").join("pages"))
+    };
+    FOLDER.get_or_init(find).as_deref()
 }
 
 /// The folder where this user's programs keep their state.

@@ -34,7 +34,7 @@ impl Histogram {
             Voxels::U16(v) => counted(v, stored_lo, stored_hi),
             Voxels::F32(v) => {
                 let mut counts = in_bins(v, range);
-                if let Some(bulk) = bulk(v, range, &counts) {
+                if let Some(bulk) = bulk(v.len() as u64, &|part| in_bins(v, part), range, &counts) {
                     range = bulk;
                     counts = in_bins(v, range);
                 }
@@ -54,15 +54,59 @@ impl Histogram {
                 counts.iter_mut().zip(part).for_each(|(sum, n)| *sum += n);
             }
         }
+        Self::of_bins(counts, range, (stored_lo, stored_hi), volume.value_map())
+    }
+
+    /// The histogram of numbers that were counted in many small bins: each has a least and a greatest number, and how
+    /// many there are. Whole numbers below 65 536 in bins of their own give the histogram of their volume. `range` has
+    /// the least and the greatest number, and `value_map` is that of the volume.
+    pub fn of_counts(bins: &[(f32, f32, u64)], range: (f32, f32), value_map: (f32, f32)) -> Self {
+        let are_whole =
+            bins.iter().all(|(lo, hi, _)| lo == hi && lo.fract() == 0.0 && (0.0..65_536.0).contains(lo));
+        let (lo, hi) = range;
+        if are_whole && lo <= hi && lo >= 0.0 && hi < 65_536.0 {
+            let mut counts = vec![0; (hi - lo) as usize + 1];
+            let last = counts.len() - 1;
+            for (at, _, n) in bins {
+                counts[((at - lo).max(0.0) as usize).min(last)] += n;
+            }
+            return Self::of_bins(counts, range, range, value_map);
+        }
+        let (total, count) = (bins.iter().map(|bin| bin.2).sum(), |part| spread(bins, part));
+        let mut counts = count(range);
+        let bulk = bulk(total, &count, range, &counts);
+        if let Some(bulk) = bulk {
+            counts = count(bulk);
+        }
+        Self::of_bins(counts, bulk.unwrap_or(range), range, value_map)
+    }
+
+    /// A histogram as it was stored; `None` if its numbers contradict each other.
+    pub fn from_parts(lo: f32, hi: f32, counts: Vec<u64>, range: (f32, f32)) -> Option<Self> {
+        let is_good = [lo, hi, range.0, range.1].iter().all(|x| x.is_finite())
+            && lo <= hi
+            && range.0 <= range.1
+            && (1..=NUM_BINS).contains(&counts.len())
+            && counts.iter().try_fold(0u64, |sum, n| sum.checked_add(*n)).is_some();
+        is_good.then_some(Self { lo, hi, counts, range })
+    }
+
+    /// The histogram of stored numbers in equal bins over `bins`.
+    fn of_bins(
+        mut counts: Vec<u64>,
+        bins: (f32, f32),
+        stored: (f32, f32),
+        (scale, offset): (f32, f32),
+    ) -> Self {
         let value = |stored: (f32, f32)| {
-            let (a, b) = (volume.value_from_stored(stored.0), volume.value_from_stored(stored.1));
+            let (a, b) = (stored.0 * scale + offset, stored.1 * scale + offset);
             (a.min(b), a.max(b), b < a)
         };
-        let (lo, hi, falls) = value(range);
+        let (lo, hi, falls) = value(bins);
         if falls {
             counts.reverse();
         }
-        let (least, greatest, _) = value((stored_lo, stored_hi));
+        let (least, greatest, _) = value(stored);
         Self { lo, hi, counts, range: (least, greatest) }
     }
 
@@ -151,10 +195,31 @@ fn in_bins(voxels: &[f32], (lo, hi): (f32, f32)) -> Vec<u64> {
     in_parts(voxels, NUM_BINS, |x| ((f64::from(x) - lo) * scale) as usize)
 }
 
-/// The range of all voxels but [`TAIL`] at each end, if it is [`FAR`] times shorter than `range`, which `counts`
-/// cover.
-fn bulk(voxels: &[f32], mut range: (f32, f32), counts: &[u64]) -> Option<(f32, f32)> {
-    let tail = (voxels.len() as f64 * TAIL) as u64;
+/// Spreads what was counted in small bins over [`NUM_BINS`] equal ones; the first and the last take those outside.
+fn spread(bins: &[(f32, f32, u64)], (lo, hi): (f32, f32)) -> Vec<u64> {
+    let lo = f64::from(lo);
+    let scale = NUM_BINS as f64 / (f64::from(hi) - lo).max(f64::MIN_POSITIVE);
+    let bin = |x: f32| (((f64::from(x) - lo) * scale) as usize).min(NUM_BINS - 1);
+    let mut counts = vec![0; NUM_BINS];
+    for &(from, to, n) in bins {
+        let (first, last) = (bin(from), bin(to));
+        let width = (last - first + 1) as u64;
+        for (i, at) in (first..=last).enumerate() {
+            counts[at] += n / width + u64::from((i as u64) < n % width);
+        }
+    }
+    counts
+}
+
+/// The range of all `num_voxels` but [`TAIL`] at each end, if it is [`FAR`] times shorter than `range`, which `counts`
+/// cover. `in_bins` counts them in other ranges.
+fn bulk(
+    num_voxels: u64,
+    in_bins: &dyn Fn((f32, f32)) -> Vec<u64>,
+    mut range: (f32, f32),
+    counts: &[u64],
+) -> Option<(f32, f32)> {
+    let tail = (num_voxels as f64 * TAIL) as u64;
     let from_below = |counts: &mut dyn Iterator<Item = &u64>| {
         let mut seen = 0;
         counts
@@ -185,7 +250,7 @@ fn bulk(voxels: &[f32], mut range: (f32, f32), counts: &[u64]) -> Option<(f32, f
             return None;
         }
         range = inner;
-        counts = in_bins(voxels, range);
+        counts = in_bins(range);
     }
 }
 

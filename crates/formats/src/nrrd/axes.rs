@@ -194,7 +194,7 @@ mod tests {
     fn grid(fields: &str) -> Result<(Grid, Vec<String>), HeaderError> {
         let axes = axes(fields)?;
         let size = |i| axes.axes.iter().find(|a| a.role == Role::Space(i)).unwrap().size;
-        let grid = Grid::arrange([size(0), size(1), size(2)], &axes.geometry, None, 1)
+        let grid = Grid::arrange([size(0), size(1), size(2)], &axes.geometry, None, 1, 2048)
             .map_err(HeaderError::Contradiction)?;
         let warnings = axes.warnings.iter().chain(&grid.warnings).map(ToString::to_string).collect();
         Ok((grid, warnings))

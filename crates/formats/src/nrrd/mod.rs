@@ -105,6 +105,10 @@ impl VolumeFile for NrrdFile {
         }
     }
 
+    fn data_files(&self) -> Vec<PathBuf> {
+        self.files.clone()
+    }
+
     fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
         let found = match self.header.encoding {
             Encoding::Raw => None,

@@ -4,25 +4,32 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::Vec3;
-use isinglass_core::volume::{Finest, PyramidLevel, Volume, VoxelKind};
+use isinglass_core::volume::{Finest, Placement, PyramidLevel, Volume, VoxelKind};
 
+use super::index::PageIndex;
 use super::levels::PageLevel;
 use crate::decode::VoxelSink;
 use crate::error::{FormatError, io_error};
 use crate::gap_rule::GapRule;
 use crate::hyperslab::Steps;
-use crate::plan::Chosen;
-use crate::read_volume::{channel_volume, joint};
+use crate::plan::{Chosen, Plan};
+use crate::read_volume::{UNKNOWN_NUMBERS, channel_volume, joint};
 use crate::source::OpenOptions;
 
 /// The base, and what it tells of the pages.
 pub(super) struct Base {
-    pub(super) volume: Volume,
+    /// The channels.
+    pub(super) volumes: Vec<Volume>,
     /// Which voxels have no value, for each channel.
     pub(super) rules: Vec<GapRule>,
     /// Distances of the voxels of the finest level.
     pub(super) spacing: Vec3,
     pub(super) kind: VoxelKind,
+    finest: Finest,
+    placement: Option<Placement>,
+    plan: Arc<Plan>,
+    /// Warnings about the file.
+    words: Vec<String>,
 }
 
 impl Base {
@@ -53,21 +60,47 @@ impl Base {
             volumes.push(volume);
             rules.push(rule);
         }
-        let spacing = finest.chosen.grid.spacing;
-        let (dims, first) = (finest.shape.dims, Vec3::from_array(level.shape.first));
-        let in_finest = Finest { dims, spacing, first, stored_range: None, histogram: None };
-        let volumes = volumes.into_iter().map(|volume| volume.with_finest(in_finest.clone())).collect();
-        let words = finest.chosen.warnings.iter().map(|w| w.text.clone());
-        let words = words.chain(levels.iter().find_map(|level| level.reader.cost()));
-        let mut volume = joint(volumes, &level.plan, words.collect(), path, options)?;
-        // The box is that of the finest level, and so is its place.
-        volume.info.placement = finest.chosen.grid.placement;
         let kind = match bytes {
             1 => VoxelKind::U8,
             2 => VoxelKind::U16,
             _ => VoxelKind::F32,
         };
-        Ok(Self { volume, rules, spacing, kind })
+        let words = finest.chosen.warnings.iter().map(|w| w.text.clone());
+        let words = words.chain(levels.iter().find_map(|level| level.reader.cost())).collect();
+        let (spacing, first) = (finest.chosen.grid.spacing, Vec3::from_array(level.shape.first));
+        Ok(Self {
+            volumes,
+            rules,
+            spacing,
+            kind,
+            finest: Finest { dims: finest.shape.dims, spacing, first, stored_range: None, histogram: None },
+            placement: finest.chosen.grid.placement,
+            plan: Arc::clone(&level.plan),
+            words,
+        })
+    }
+
+    /// The channels as one volume that looks as the finest level does, as far as that is known.
+    pub(super) fn into_volume(
+        mut self,
+        index: Option<&PageIndex>,
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<Volume, FormatError> {
+        let of_channel = |i: usize| Finest {
+            stored_range: index.map(|index| index.stored_range(i)),
+            histogram: index.map(|index| Arc::clone(index.histogram(i))),
+            ..self.finest.clone()
+        };
+        let volumes = self.volumes.into_iter().enumerate();
+        let volumes = volumes.map(|(i, volume)| volume.with_finest(of_channel(i))).collect();
+        if index.is_none() {
+            self.words.push(UNKNOWN_NUMBERS.to_owned());
+        }
+        let mut volume = joint(volumes, &self.plan, self.words, path, options)?;
+        // The box is that of the finest level, and so is its place.
+        volume.info.placement = self.placement;
+        Ok(volume)
     }
 }
 

@@ -51,7 +51,7 @@ pub(crate) fn flat_level(
     if files.is_empty() || share * files.len() as u64 != count || !share.is_multiple_of(in_plane) {
         return Err(not_paged("a volume in parts of planes"));
     }
-    let are_kept = 1 + files.windows(2).filter(|pair| pair[0].path != pair[1].path).count() <= MAX_KEPT;
+    let are_kept = files.windows(2).filter(|pair| pair[0].path != pair[1].path).count() < MAX_KEPT;
     let mut kept: Vec<(FlatFile, Option<Arc<File>>)> = Vec::new();
     let mut last: Option<(PathBuf, Arc<File>)> = None;
     for file in files {

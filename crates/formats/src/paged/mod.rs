@@ -1,18 +1,27 @@
 //! Volumes that are read by pages: the coarsest level whole, the others as they are wanted.
 
 mod base;
+mod build;
 pub(crate) mod flat;
+mod index;
+mod index_file;
 mod levels;
 mod pages;
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
-use isinglass_core::volume::{PageSource, Volume};
+use isinglass_core::volume::{PAGE_CELLS, PageSource, Volume};
 
 use self::base::Base;
+use self::build::{built_index, known_index};
+pub use self::index::{PageIndex, PageIndexBuilder};
+pub(crate) use self::index_file::IndexPlace;
 use self::levels::page_levels;
 use self::pages::FilePages;
 use crate::error::{FormatError, shown};
+use crate::outline::PageCount;
 use crate::source::{OpenOptions, open_source};
 
 /// A volume whose pages are read as they are wanted.
@@ -22,13 +31,39 @@ pub struct PagedFile {
     pub base: Volume,
     /// Reads pages of all levels. Channels are numbered as in [`Volume::channels`] of the base.
     pub source: Arc<dyn PageSource>,
+    /// What is known of the finest level, if it was read before.
+    pub index: Option<Arc<PageIndex>>,
     pages: Arc<FilePages>,
+    path: PathBuf,
+    /// Where its index is kept.
+    place: Option<IndexPlace>,
 }
 
 impl PagedFile {
     /// Parts of the file that are not there and have its fill value, as far as they were met.
     pub fn num_absent(&self) -> u64 {
         self.pages.num_absent()
+    }
+
+    /// Reads all pages of the finest level once for its index. `progress` is called with the fraction that has been
+    /// read, 0 to 1.
+    ///
+    /// # Errors
+    /// A page cannot be read, there are too many of them, or `cancel` was set.
+    pub fn build_index(
+        &self,
+        progress: Option<&dyn Fn(f32)>,
+        cancel: Option<&AtomicBool>,
+    ) -> Result<PageIndex, FormatError> {
+        built_index(&*self.source, &self.path, progress, cancel)
+    }
+
+    /// Keeps an index in [`OpenOptions::index_folder`] for the next time. Returns its file; `None` without a folder.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn keep_index(&self, index: &PageIndex) -> Result<Option<PathBuf>, FormatError> {
+        self.place.as_ref().map(|place| place.write(index)).transpose()
     }
 }
 
@@ -39,7 +74,7 @@ impl PagedFile {
 /// The file cannot be read, or not in any order. The message is one line.
 pub fn open_paged(source: &str, options: &OpenOptions) -> Result<PagedFile, FormatError> {
     let unsupported = |found, expected| {
-        let path = shown(std::path::Path::new(source));
+        let path = shown(Path::new(source));
         Err(FormatError::Unsupported { path, found, expected })
     };
     if source.starts_with("builtin:") {
@@ -54,8 +89,24 @@ pub fn open_paged(source: &str, options: &OpenOptions) -> Result<PagedFile, Form
     let (path, file) = open_source(source, options)?;
     let mut levels = page_levels(file.boxes(&path)?, &path, options)?;
     let base = Base::read(&mut levels, &path, options)?;
-    let pages = Arc::new(FilePages::new(levels, &base));
-    Ok(PagedFile { base: base.volume, source: Arc::clone(&pages) as Arc<dyn PageSource>, pages })
+    let place = IndexPlace::of(&*file, &path, options.selection.region, options);
+    let mut pages = FilePages::new(levels, &base);
+    let index = known_index(&pages, place.as_ref(), &path, options)?;
+    let base = base.into_volume(index.as_ref(), &path, options)?;
+    pages.complete(&base);
+    let pages = Arc::new(pages);
+    let source = Arc::clone(&pages) as Arc<dyn PageSource>;
+    Ok(PagedFile { base, source, index: index.map(Arc::new), pages, path, place })
+}
+
+/// The pages of `source` by its header; `None` if it cannot be read by pages.
+pub fn page_count(source: &str, options: &OpenOptions) -> Option<PageCount> {
+    let is_file = !source.starts_with("builtin:");
+    let (path, file) = open_source(source, options).ok().filter(|_| is_file)?;
+    let levels = page_levels(file.boxes(&path).ok()?, &path, options).ok()?;
+    let pages = |n: u32| u64::from(n.saturating_sub(1).div_ceil(PAGE_CELLS).max(1));
+    let finest = levels.first()?.shape.dims.into_iter().map(pages).product();
+    Some(PageCount { levels: levels.len() as u32, finest })
 }
 
 /// Most voxels along an axis of a volume that is read by pages.

@@ -1,7 +1,7 @@
 //! Cuts pages out of the levels of a file.
 
 use isinglass_core::volume::{
-    PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageSource, PageVoxels, Pyramid, Voxels,
+    PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageSource, PageVoxels, Pyramid, Volume, VoxelKind, Voxels,
 };
 
 use super::base::Base;
@@ -25,11 +25,17 @@ impl FilePages {
             levels: levels.iter().map(|level| level.shape).collect(),
             spacing: base.spacing,
             kind: base.kind,
-            value_maps: base.volume.channels().map(|channel| channel.value_map()).collect(),
-            info: base.volume.info.clone(),
+            value_maps: base.volumes.iter().map(Volume::value_map).collect(),
+            info: base.volumes.first().map(|volume| volume.info.clone()).unwrap_or_default(),
         };
-        let elsewhere = base.volume.channels().map(|channel| channel.stored_range().0).collect();
+        let elsewhere = base.volumes.iter().map(|channel| channel.stored_range().0).collect();
         Self { pyramid, levels, rules: base.rules.clone(), elsewhere }
+    }
+
+    /// Takes over what the base, as it is shown, knows of the whole file.
+    pub(super) fn complete(&mut self, base: &Volume) {
+        self.pyramid.info = base.info.clone();
+        self.elsewhere = base.channels().map(|channel| channel.stored_range().0).collect();
     }
 
     pub(super) fn num_absent(&self) -> u64 {
@@ -43,7 +49,7 @@ impl FilePages {
         let (dims, first) = (level.shape.dims, level.shape.first_point(page.at));
         let rule = &self.rules[channel];
         let kind = match self.pyramid.kind {
-            isinglass_core::volume::VoxelKind::F32 => Voxels::F32(Vec::new()),
+            VoxelKind::F32 => Voxels::F32(Vec::new()),
             _ => Voxels::U8(Vec::new()),
         };
         // Gaps are filled from the voxels beside them.

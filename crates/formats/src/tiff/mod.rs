@@ -297,6 +297,10 @@ impl VolumeFile for TiffFile {
         Ok(())
     }
 
+    fn data_files(&self) -> Vec<PathBuf> {
+        self.files.clone()
+    }
+
     fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
         if let Some(offset) = self.contiguous {
             return flat_level(&self.plan, vec![FlatFile { path: self.files[0].clone(), offset }], path);

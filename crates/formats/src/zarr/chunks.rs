@@ -140,6 +140,12 @@ impl<'a> Chunks<'a> {
         channel_axis: Option<usize>,
     ) -> Result<VoxelSink, FormatError> {
         let array = self.array;
+        let files = self.selected.iter().zip(&array.chunk).map(|(s, &side)| covering(&s.range, side));
+        let num_files = files.fold(1u64, |n, range| n.saturating_mul(range.end - range.start));
+        if num_files > MAX_CHUNKS {
+            let problem = format!("{num_files} chunks at once, expected at most {MAX_CHUNKS}");
+            return Err(FormatError::Data { path: shown(&array.path), problem });
+        }
         let no_memory = || io_error(&array.path)(std::io::ErrorKind::OutOfMemory.into());
         let num_voxels = selected.iter().map(Steps::len).product::<u64>() as usize;
         let (dtype, endian) = (array.dtype, array.codecs.endian);
@@ -175,7 +181,7 @@ impl<'a> Chunks<'a> {
             let mut counts = FileCounts { met: 1, absent: 0 };
             match &array.shard {
                 None if self.num_within(&start) > 0 => {
-                    waiting.push(Located { path, part: Part::Whole, start })
+                    waiting.push(Located { path, part: Part::Whole, start });
                 }
                 None => counts.met = 0,
                 Some(shard) => match self.in_shard(shard, path, &start)? {

@@ -19,4 +19,4 @@ pub(crate) use parse::{
     parse_picture, parse_rate, parse_size, usage_error,
 };
 pub(crate) use view::{ViewArgs, orthographic};
-pub(crate) use volume::{PartArgs, RawArgs, VolumeArgs, any_text, open_to_serve, open_volume};
+pub(crate) use volume::{PartArgs, RawArgs, VolumeArgs, any_text, open_to_serve, open_volume, with_percent};

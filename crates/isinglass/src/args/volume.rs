@@ -9,13 +9,14 @@ use glam::Vec3;
 use isinglass_bench::progress::Progress;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
-    Dtype, Endian, Flip, Meaning, OpenOptions, Outline, RawShape, Reading, Region, Selection, VolumeSource,
-    open, outline,
+    Dtype, Endian, Flip, Meaning, OpenOptions, Outline, PageCount, PagedFile, RawShape, Reading, Region,
+    Selection, VolumeSource, open, open_paged, outline, page_count,
 };
 use isinglass_formats::{OpenedScene, open_scene};
 
 use super::{LookArgs, Switch};
 use crate::library::{FileLoader, OpenedFile};
+use crate::local::index_folder;
 use crate::memory::MemoryArgs;
 
 /// A volume, and the layout of a raw one.
@@ -101,8 +102,23 @@ impl VolumeArgs {
             max_bytes: MemoryArgs::default().bytes(),
             foreign_files: self.part.has_foreign_files(),
             reading,
+            index_folder: index_folder(),
             ..OpenOptions::default()
         }
+    }
+
+    /// The volume to be read by pages, within a limit of memory; reading its coarsest level shows progress.
+    pub(crate) fn open_paged(&self, memory: &MemoryArgs) -> Result<PagedFile> {
+        let (source, reading) = (self.source()?, self.part.reading());
+        let options = OpenOptions { max_bytes: memory.bytes(), ..self.options(&reading) };
+        with_percent("reading the coarsest level", |progress| {
+            Ok(open_paged(source, &OpenOptions { progress: Some(progress), ..options })?)
+        })
+    }
+
+    /// The pages that it can be read by, if it can.
+    pub(crate) fn page_count(&self) -> Result<Option<PageCount>> {
+        Ok(page_count(self.source()?, &self.options(&self.part.reading())))
     }
 }
 
@@ -115,8 +131,12 @@ pub(crate) fn any_text() -> impl TypedValueParser<Value = String> {
 fn show_progress<T>(outline: &Outline, read: impl FnOnce(&dyn Fn(f32)) -> T) -> T {
     let [x, y, z] = outline.dims;
     let megabytes = outline.bytes_in_memory as f64 / 1e6;
-    let text = format!("reading {x}×{y}×{z} {}, {megabytes:.1} MB", outline.dtype);
-    let progress = std::cell::RefCell::new(Progress::new(&text, 100));
+    with_percent(&format!("reading {x}×{y}×{z} {}, {megabytes:.1} MB", outline.dtype), read)
+}
+
+/// Runs `read` with a display of its progress.
+pub(crate) fn with_percent<T>(text: &str, read: impl FnOnce(&dyn Fn(f32)) -> T) -> T {
+    let progress = std::cell::RefCell::new(Progress::new(text, 100));
     let done = std::cell::Cell::new(0);
     let report = |fraction: f32| {
         let percent = (fraction * 100.0) as u64;

@@ -30,7 +30,8 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     if args.volume.raw.shape().is_none() && is_stored_frame(path) {
         return frame(path, args.json);
     }
-    let (volume, outline) = args.volume.open()?;
+    let (volume, mut outline) = args.volume.open()?;
+    outline.pages = args.volume.page_count()?;
     let mut facts = VolumeFacts::of(&volume, &Histogram::of(&volume));
     facts.file = (!source.starts_with("builtin:")).then_some(outline);
     if args.json { print_json(&facts) } else { print(&facts.to_string()) }

@@ -5,6 +5,7 @@ mod compare;
 mod demo;
 mod doctor;
 mod headless;
+mod index;
 mod info;
 mod layers;
 mod pipeline;
@@ -38,6 +39,8 @@ pub(crate) enum Command {
     Compare(compare::CompareArgs),
     /// Show what is in a volume or in a stored layered frame
     Info(info::InfoArgs),
+    /// Read all voxels of a large volume once, so that it is shown faster and in its true colours by pages
+    Index(index::IndexArgs),
     /// Measure speed, latency or the stages of a frame
     Bench(bench::BenchArgs),
     /// Join standard input and output with a server of this machine
@@ -63,6 +66,7 @@ impl Command {
             Self::Reproject(args) => reproject::run(&args),
             Self::Compare(args) => compare::run(&args),
             Self::Info(args) => info::run(&args),
+            Self::Index(args) => index::run(&args),
             Self::Bench(args) => bench::run(args),
             Self::Relay(args) => relay::run(&args),
             Self::Doctor(args) => doctor::run(&args),
