@@ -40,11 +40,11 @@ impl LoadRequest {
         VolumeSource::new(source).request(OpenOptions::default().max_bytes)
     }
 
-    /// The options to open it with.
+    /// The options to open it with. A volume that does not fit is read by pages.
     pub fn options(&self) -> OpenOptions<'_> {
         let &Self { source: _, raw, selection, spacing, max_bytes, foreign_files, ref reading } = self;
         let options = OpenOptions::default();
-        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, reading, ..options }
+        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, reading, by_pages: true, ..options }
     }
 }
 

@@ -15,6 +15,7 @@ use crate::error::{FormatError, io_error, quoted, shown};
 use crate::foreign::HomeFolder;
 use crate::outline::Outline;
 use crate::overlay::{bytes_of_labels, with_labels};
+use crate::paged::{open_paged, page_count};
 use crate::plan::{Axis, Plan, VolumeFile};
 use crate::raw::RawShape;
 use crate::read_volume::read_volume;
@@ -41,6 +42,8 @@ pub struct OpenOptions<'a> {
     pub reading: &'a Reading,
     /// The folder with indices of volumes that were read before, which this may add to.
     pub index_folder: Option<&'a Path>,
+    /// Whether a volume that does not fit may be read by pages: its coarsest level then comes with their reader.
+    pub by_pages: bool,
     /// Called now and then with the fraction that has been read, 0 to 1.
     pub progress: Option<&'a dyn Fn(f32)>,
     /// Set this flag to stop reading.
@@ -56,6 +59,7 @@ impl Default for OpenOptions<'_> {
             max_bytes: DEFAULT_MAX_BYTES,
             foreign_files: false,
             reading: Reading::USUAL,
+            by_pages: false,
             index_folder: None,
             progress: None,
             cancel: None,
@@ -89,6 +93,9 @@ impl OpenOptions<'_> {
 /// # Errors
 /// The file cannot be read, or its format or selection is not supported. The message is one line.
 pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
+    if outline_by_pages(source, options)?.is_some() {
+        return Ok(open_paged(source, &for_pages(options))?.into_volume(options.max_bytes));
+    }
     let volume = match source.strip_prefix("builtin:") {
         Some(name) => open_builtin(name, options)?,
         None => {
@@ -107,6 +114,9 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
 /// # Errors
 /// As [`open`], except for errors in the voxels.
 pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {
+    if let Some(found) = outline_by_pages(source, options)? {
+        return Ok(found);
+    }
     let mut found = outline_of(source, options)?;
     if let Some(labels) = &options.reading.labels {
         let num_voxels = found.dims.iter().map(|&n| u64::from(n)).product();
@@ -116,6 +126,39 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
         found.bytes_in_memory = found.bytes_in_memory.saturating_add(when_read);
     }
     Ok(found)
+}
+
+/// The finest level, if it is wanted, does not fit, and can be read by pages.
+fn outline_by_pages(source: &str, options: &OpenOptions) -> Result<Option<Outline>, FormatError> {
+    let asks_for_finest =
+        options.selection.level.is_none_or(|level| level == 0) && options.reading.thin.is_none();
+    if !options.by_pages || !asks_for_finest || options.reading.labels.is_some() {
+        return Ok(None);
+    }
+    let fits = |outline: &Outline| {
+        let finest = outline.levels.first().map_or(outline.whole_dims, |level| level.dims);
+        outline.level == 0 && (options.selection.region.is_some() || outline.dims.map(u64::from) == finest)
+    };
+    match outline_of(source, options) {
+        Ok(found) if fits(&found) => return Ok(None),
+        // Whoever opens it is told of other errors.
+        Ok(_) | Err(_) => {}
+    }
+    let Some(pages) = page_count(source, &for_pages(options)) else { return Ok(None) };
+    let selection = Selection { level: Some(0), ..options.selection };
+    let mut found = outline_of(source, &OpenOptions { selection, max_bytes: u64::MAX, ..*options })?;
+    if options.selection.region.is_none() {
+        let finest = found.levels.first().map_or(found.whole_dims, |level| level.dims);
+        found.dims = finest.map(|n| u32::try_from(n).unwrap_or(u32::MAX));
+    }
+    found.pages = Some(pages);
+    (found.bytes_in_memory, found.bytes_while_reading) = (options.max_bytes, 0);
+    Ok(Some(found))
+}
+
+/// The same options for all levels.
+fn for_pages<'a>(options: &OpenOptions<'a>) -> OpenOptions<'a> {
+    OpenOptions { selection: Selection { level: None, ..options.selection }, ..*options }
 }
 
 fn outline_of(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {

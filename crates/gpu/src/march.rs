@@ -31,6 +31,9 @@ pub struct GpuRenderer {
 impl GpuRenderer {
     /// Uploads a scene.
     pub fn new(gpu: &Gpu, scene: Scene) -> Result<Self, GpuError> {
+        if scene.whole().paging().is_some() {
+            return Err(GpuError::Pages);
+        }
         let on_gpu = SceneOnGpu::new(gpu, &scene)?;
         let picture = gpu.attempt("making buffers", || Ok(PictureTarget::new(gpu)))?;
         Ok(Self { gpu: gpu.clone(), scene, on_gpu, picture, frame: None, budget: Budget::default() })

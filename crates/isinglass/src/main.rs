@@ -17,6 +17,7 @@ mod light_args;
 mod local;
 mod memory;
 mod metrics;
+mod paged;
 mod remote;
 mod report;
 mod state_args;

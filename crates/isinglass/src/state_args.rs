@@ -140,8 +140,9 @@ impl Seen {
         look: &LookArgs,
         lighting: Lighting,
         lists: &ListArgs,
+        memory: &MemoryArgs,
     ) -> Result<(OpenedScene, Look)> {
-        let mut opened = open_volume(&self.volume(volume)?, look, lighting)?;
+        let mut opened = open_volume(&self.volume(volume)?, look, lighting, memory)?;
         let upright = lighting.upright(opened.scene.volume.info.orientation.as_deref());
         let classes = (opened.transfer.clone(), opened.channels.clone());
         let wanted = self.look(classes, look, upright, lists)?;

@@ -7,8 +7,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use isinglass_core::kernels::march::{Scene, SeenPages};
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{
-    Page, PageError, PageId, PagePlan, PageProgress, PageSet, PageSource, PageView, PlanKey, Residency,
-    Volume, VolumeError,
+    Page, PageError, PageId, PagePlan, PageProgress, PageRanges, PageSet, PageSource, PageView, Paging,
+    PlanKey, Residency, Volume, VolumeError,
 };
 use tokio::sync::watch;
 

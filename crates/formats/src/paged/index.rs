@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use isinglass_core::volume::{
-    Histogram, PAGE_CELLS, PAGE_POINTS, PageId, PageVoxels, Pyramid, PyramidLevel, VoxelKind, Voxels,
+    Histogram, PAGE_CELLS, PAGE_POINTS, PageId, PageRanges, PageVoxels, Pyramid, PyramidLevel, VoxelKind,
+    Voxels,
 };
 
 use crate::levels::KnownNumbers;
@@ -56,6 +57,13 @@ impl PageIndex {
 
     pub(crate) fn known(&self) -> Vec<KnownNumbers> {
         self.channels.iter().map(|channel| channel.known.clone()).collect()
+    }
+}
+
+impl PageRanges for PageIndex {
+    fn range(&self, channel: usize, at: [u32; 3]) -> Option<(f32, f32)> {
+        let is_known = channel < self.channels.len() && (0..3).all(|i| at[i] < self.pages[i]);
+        if is_known { self.range(channel, at) } else { None }
     }
 }
 

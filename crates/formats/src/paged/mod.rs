@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use isinglass_core::volume::{PAGE_CELLS, PageSource, Volume};
+use isinglass_core::volume::{PAGE_CELLS, PageRanges, PageSource, Paging, Volume};
 
 use self::base::Base;
 use self::build::{built_index, known_index};
@@ -40,6 +40,15 @@ pub struct PagedFile {
 }
 
 impl PagedFile {
+    /// The volume: its base, which brings the pages along. Both take at most about `max_bytes` of memory.
+    pub fn into_volume(self, max_bytes: u64) -> Volume {
+        let Self { base, source, index, .. } = self;
+        let ranges = index.map(|index| index as Arc<dyn PageRanges>);
+        // What is kept of the file, a sixteenth for light and tables, and the base.
+        let max_bytes = max_bytes.saturating_sub(max_bytes / 8 + max_bytes / 16 + base.bytes_in_memory());
+        base.with_paging(Paging { source, ranges, max_bytes })
+    }
+
     /// Parts of the file that are not there and have its fill value, as far as they were met.
     pub fn num_absent(&self) -> u64 {
         self.pages.num_absent()

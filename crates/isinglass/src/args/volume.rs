@@ -248,11 +248,16 @@ impl RawArgs {
 }
 
 /// Opens a volume with its look; large files show their progress.
-pub(crate) fn open_volume(volume: &VolumeArgs, look: &LookArgs, lighting: Lighting) -> Result<OpenedScene> {
+pub(crate) fn open_volume(
+    volume: &VolumeArgs,
+    look: &LookArgs,
+    lighting: Lighting,
+    memory: &MemoryArgs,
+) -> Result<OpenedScene> {
     let settings = look.march_settings(lighting)?;
     let source = volume.source()?;
     let reading = volume.part.reading();
-    let options = volume.options(&reading);
+    let options = OpenOptions { by_pages: true, max_bytes: memory.bytes(), ..volume.options(&reading) };
     let before = outline(source, &options)?;
     let opened = show_progress(&before, |progress| {
         let options = OpenOptions { progress: Some(progress), ..options };

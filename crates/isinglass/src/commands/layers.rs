@@ -18,6 +18,8 @@ use crate::args::{
 };
 use crate::given::Given;
 use crate::light_args::LightArgs;
+use crate::memory::MemoryArgs;
+use crate::paged::Pages;
 use crate::report::print_json;
 use crate::state_args::StateArgs;
 
@@ -40,6 +42,8 @@ pub(crate) struct LayersArgs {
     codec: CodecArgs,
     #[command(flatten)]
     backend: BackendArgs,
+    #[command(flatten)]
+    memory: MemoryArgs,
     /// Print a summary as JSON
     #[arg(long)]
     json: bool,
@@ -59,7 +63,8 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     args.codec.check()?;
     let seen = args.state.read(given)?;
     not_an_input(&args.output, seen.inputs(&args.volume, &args.state, &args.look))?;
-    let (opened, look) = seen.open(&args.volume, &args.look, args.light.lighting(), &args.lists)?;
+    let (opened, look) =
+        seen.open(&args.volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
@@ -70,7 +75,9 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     // A mean behind an oblique plane needs a path length that no box gives.
     let is_askew = look.mode == Mode::Average && look.clip.plane.is_some();
     let left = (!is_askew).then(|| opened.scene.region().bounds);
+    let pages = Pages::of(&opened.scene)?;
     let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
+    pages.show(&mut renderer, &camera)?;
     let start = Instant::now();
     let frame = renderer.generate(FrameHeader::alone(camera, look.k))?;
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;

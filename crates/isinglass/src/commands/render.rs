@@ -25,6 +25,8 @@ use crate::args::{
 use crate::given::Given;
 use crate::lens_args::LensArgs;
 use crate::light_args::LightArgs;
+use crate::memory::MemoryArgs;
+use crate::paged::Pages;
 use crate::report::print_json;
 use crate::state_args::{Seen, StateArgs};
 
@@ -55,6 +57,8 @@ pub(crate) struct RenderArgs {
     background: [u8; 3],
     #[command(flatten)]
     backend: BackendArgs,
+    #[command(flatten)]
+    memory: MemoryArgs,
     /// Print a summary as JSON
     #[arg(long)]
     json: bool,
@@ -91,7 +95,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         Series::Times(times, _) => seen.volume(&args.volume)?.at_time(times[0]),
         _ => args.volume.clone(),
     };
-    let (opened, look) = seen.open(&volume, &args.look, lighting, &ListArgs::default())?;
+    let (opened, look) = seen.open(&volume, &args.look, lighting, &ListArgs::default(), &args.memory)?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
     let letters = opened.scene.volume.info.orientation.clone();
@@ -105,6 +109,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let at_values = look.at_values(&opened.scene);
+    let pages = Pages::of(&opened.scene)?;
     let (renderer, backend) = args.backend.renderer(opened.scene)?;
     let mut renderer = Some(renderer);
     let mut progress = is_series.then(|| Progress::new("pictures", num_pictures.into()));
@@ -132,6 +137,7 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
             Series::One | Series::Turn(_) => {}
         }
         let renderer = renderer.as_mut().context("there is no renderer")?;
+        pages.show(renderer, &camera)?;
         let plan = args.lens.plan(&camera, &bounds, letters.as_deref(), series.degrees(number))?;
         let pictures = plan.draw(|views| renderer.render_mean(views))?;
         let render_ms = start.elapsed().as_secs_f64() * 1e3;

@@ -1,0 +1,33 @@
+//! Pictures of volumes that are read by pages: each waits until all pages of its view are there.
+
+use anyhow::{Result, bail};
+use isinglass_core::camera::Camera;
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::session::admission::ViewerId;
+use isinglass_core::volume::PageView;
+use isinglass_render::Renderer;
+use isinglass_server::Pager;
+
+/// The pages of a command's volume, if it has any.
+pub(crate) struct Pages(Option<Pager>);
+
+impl Pages {
+    /// Starts to read the pages of a scene's volume.
+    pub(crate) fn of(scene: &Scene) -> Result<Self> {
+        Ok(Self(Pager::of(scene.whole())?))
+    }
+
+    /// Shows a camera the finest pages that fit into memory. Returns whether the picture is that of the finest level.
+    pub(crate) fn show(&self, renderer: &mut Renderer, camera: &Camera) -> Result<bool> {
+        let Some(pager) = &self.0 else { return Ok(true) };
+        let scene = renderer.scene();
+        let view = PageView { camera: *camera, region: scene.region(), rests: true };
+        let pages = pager.settled(ViewerId(0), &view, scene, &|| true);
+        let progress = pages.progress;
+        if progress.num_wanted > 0 && progress.num_resident == 0 {
+            bail!("none of the {} parts that the view needs can be read", progress.num_wanted);
+        }
+        renderer.set_scene(scene.with_pages(pages.set, None))?;
+        Ok(progress.is_exact())
+    }
+}
