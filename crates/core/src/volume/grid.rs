@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::gaps::{self, VoxelGaps};
-use super::pyramid::{Finest, Paging};
+use super::pyramid::{Finest, Paging, VoxelKind};
 pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
@@ -24,6 +24,15 @@ pub enum Voxels {
 }
 
 impl Voxels {
+    /// The type of the stored numbers.
+    pub fn kind(&self) -> VoxelKind {
+        match self {
+            Self::U8(_) => VoxelKind::U8,
+            Self::U16(_) => VoxelKind::U16,
+            Self::F32(_) => VoxelKind::F32,
+        }
+    }
+
     /// Number of voxels.
     pub fn len(&self) -> usize {
         match self {
@@ -40,11 +49,7 @@ impl Voxels {
 
     /// Bytes of one voxel as stored.
     pub fn bytes_per_voxel(&self) -> usize {
-        match self {
-            Self::U8(_) => 1,
-            Self::U16(_) => 2,
-            Self::F32(_) => 4,
-        }
+        self.kind().bytes()
     }
 
     /// The stored number of voxel `i`, as a float.
@@ -170,6 +175,14 @@ pub enum VolumeError {
         "spacing is {0}, expected three positive numbers from 1e-12 to 1e12, at most a factor of 1e4 apart"
     )]
     Spacing(Vec3),
+    /// A page has voxels of another type than its volume.
+    #[error("a page has voxels of {found:?}, expected {expected:?}")]
+    Kind {
+        /// Type of the page's voxels.
+        found: VoxelKind,
+        /// Type of the volume's.
+        expected: VoxelKind,
+    },
     /// There are too many channels, or one has another grid.
     #[error("a channel has {0:?} voxels, expected {1:?}, and at most {MAX_CHANNELS} channels")]
     Channels([u32; 3], [u32; 3]),

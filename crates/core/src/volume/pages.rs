@@ -54,6 +54,7 @@ impl Pyramid {
         voxels: Voxels,
         gaps: Option<Vec<u8>>,
     ) -> Result<Volume, VolumeError> {
+        self.check_kind(&voxels)?;
         let level = self.level(id);
         let (first, factor) = (self.first_point(id), level.factor.map(|f| f as f32));
         let place = |i: usize| level.first[i] + factor[i] * first[i] as f32;
@@ -70,6 +71,11 @@ impl Pyramid {
         Ok(volume.with_finest(Finest { dims, spacing, first, stored_range, histogram }))
     }
 
+    fn check_kind(&self, voxels: &Voxels) -> Result<(), VolumeError> {
+        let (found, expected) = (voxels.kind(), self.kind);
+        if found == expected { Ok(()) } else { Err(VolumeError::Kind { found, expected }) }
+    }
+
     /// All pages of the coarsest level, cut from that level in memory.
     ///
     /// # Errors
@@ -80,6 +86,7 @@ impl Pyramid {
         if base.dims() != dims {
             return Err(VolumeError::Channels(base.dims(), dims));
         }
+        base.channels().try_for_each(|channel| self.check_kind(channel.voxels()))?;
         let [nx, ny, nz] = self.pages(last);
         let places = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
         let page = |at| {
