@@ -12,6 +12,7 @@ use super::store::{Part, Store};
 use crate::channels::Piece;
 use crate::collector::Collector;
 use crate::decode::VoxelSink;
+use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
 use crate::hyperslab::Steps;
 use crate::warning::WarningKind;
@@ -25,6 +26,8 @@ struct Chunks<'a> {
     /// Axes that the plan has and the array has not.
     num_more_axes: usize,
     cancel: Option<&'a AtomicBool>,
+    /// Whether the bytes of numbers are wanted as they are.
+    is_raw: bool,
 }
 
 /// A chunk in a file.
@@ -47,7 +50,8 @@ pub(super) fn read_chunks(
     let selected: Vec<Steps> = collector.selected().iter().take(num_axes).rev().cloned().collect();
     let channel_axis = collector.channel_axis().map(|axis| num_axes - 1 - axis);
     let num_more_axes = collector.selected().len() - num_axes;
-    let chunks = Chunks { array, store, selected, channel_axis, num_more_axes, cancel: collector.cancel() };
+    let (cancel, is_raw) = (collector.cancel(), collector.is_raw());
+    let chunks = Chunks { array, store, selected, channel_axis, num_more_axes, cancel, is_raw };
     chunks.check_sizes(collector, most_bytes)?;
     chunks.read_all(collector)
 }
@@ -209,15 +213,16 @@ impl<'a> Chunks<'a> {
                 part[axis] = channel..channel + 1;
             }
             let numbers = self.gather(&bytes, chunk, &part, &strides);
-            let count = numbers.len() / array.dtype.num_bytes();
-            let sink = VoxelSink::new(array.dtype, array.codecs.endian, count);
+            let size = array.dtype.num_bytes();
+            let (dtype, bytes_each) = if self.is_raw { (Dtype::Uint8, 1) } else { (array.dtype, size) };
+            let sink = VoxelSink::new(dtype, array.codecs.endian, numbers.len() / bytes_each);
             let mut sink = sink.map_err(|_| io_error(&chunk.path)(std::io::ErrorKind::OutOfMemory.into()))?;
             sink.push_bytes(&numbers);
             if let Some(axis) = self.channel_axis {
                 part[axis] = 0..1;
             }
-            let mut ranges: Vec<Range<usize>> =
-                part.iter().rev().map(|r| r.start as usize..r.end as usize).collect();
+            let mut ranges: Vec<Range<usize>> = if self.is_raw { vec![0..size] } else { Vec::new() };
+            ranges.extend(part.iter().rev().map(|r| r.start as usize..r.end as usize));
             ranges.extend(std::iter::repeat_n(0..1, self.num_more_axes));
             pieces.push(Piece { channel: channel as usize, ranges, sink });
         }

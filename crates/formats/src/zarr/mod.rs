@@ -5,9 +5,13 @@ mod array;
 mod blosc;
 mod chunks;
 mod codec;
+mod describe;
 mod json;
 mod multiscale;
+mod pyramid;
 mod store;
+mod values;
+mod write;
 
 use std::path::{Path, PathBuf};
 
@@ -18,6 +22,10 @@ use self::array::Array;
 use self::chunks::read_chunks;
 use self::multiscale::Multiscale;
 use self::store::Store;
+use self::values::ArrayValues;
+pub(crate) use self::describe::{Frame, ImageFacts};
+pub(crate) use self::pyramid::{PyramidLevel, pyramid_levels};
+pub(crate) use self::write::{ArrayWriter, write_document};
 use crate::collector::Collector;
 use crate::error::{FormatError, malformed, not_there};
 use crate::plan::{Memory, Plan, VolumeFile};
@@ -92,7 +100,9 @@ impl ZarrImage {
             None if options.selection.region.is_some() => 0,
             None => arrays.iter().position(|a| fits(a, &multiscale, options)).unwrap_or(arrays.len() - 1),
         };
-        let mut plan = multiscale.plan(&arrays, level).map_err(bad)?;
+        let finest = &arrays[0];
+        let values = ArrayValues::read(&store, &finest.path, finest.version)?;
+        let mut plan = multiscale.plan(&arrays, level, values).map_err(bad)?;
         if level > 0 && options.selection.level.is_none() {
             let text = format!(
                 "level {level} of {} is shown, the finest that fits into memory and a texture",
@@ -130,6 +140,10 @@ fn fits(array: &Array, multiscale: &Multiscale, options: &OpenOptions) -> bool {
 impl VolumeFile for ZarrImage {
     fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    fn is_chunked(&self) -> bool {
+        true
     }
 
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
