@@ -232,8 +232,7 @@ pub(crate) struct Extremes(pub(crate) [f32; 4]);
 
 impl Extremes {
     /// Of no numbers.
-    pub(crate) const NONE: Self =
-        Self([f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY]);
+    pub(crate) const NONE: Self = Self([f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY]);
 
     /// With one number more.
     pub(crate) fn with(self, x: f32) -> Self {

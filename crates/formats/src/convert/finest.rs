@@ -6,9 +6,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::{Conversion, check_cancelled};
 use super::gaps::Tally;
 use super::layout::{Block, count};
+use super::{Conversion, check_cancelled};
 use crate::collector::{Collector, NumberSink};
 use crate::error::{FormatError, io_error, shown};
 use crate::hyperslab::Steps;
@@ -26,7 +26,8 @@ impl Conversion<'_> {
             if done >= num_groups {
                 continue;
             }
-            let found = if self.is_chunked { self.read_blocks(pass, done)? } else { self.read_stream(pass, done)? };
+            let found =
+                if self.is_chunked { self.read_blocks(pass, done)? } else { self.read_stream(pass, done)? };
             for warning in found {
                 if notes.len() < MOST_NOTES && !notes.contains(&warning.text) {
                     notes.push(warning.text);

@@ -120,7 +120,8 @@ impl Tally {
 /// The gap that all volumes of an image share, if each that may have the number takes it for one.
 pub(super) fn shared_gap(tallies: &[Tally], gaps: &[Option<f64>]) -> Option<f64> {
     let gap = gaps.iter().flatten().next().copied()?;
-    let agrees = |(tally, own): (&Tally, &Option<f64>)| *own == Some(gap) || (own.is_none() && !tally.may_have(gap));
+    let agrees =
+        |(tally, own): (&Tally, &Option<f64>)| *own == Some(gap) || (own.is_none() && !tally.may_have(gap));
     tallies.iter().zip(gaps).all(agrees).then_some(gap)
 }
 

@@ -120,7 +120,9 @@ impl Layout {
     /// slowest axis in space, of one time, with all channels or one, perhaps cut across the second slowest axis.
     pub(super) fn blocks(&self, most: u64) -> Vec<Vec<Range<u64>>> {
         let single = |role: Role, part: &[Range<u64>]| -> Vec<Vec<Range<u64>>> {
-            let Some(axis) = self.axes.iter().position(|axis| axis.1 == role) else { return vec![part.to_vec()] };
+            let Some(axis) = self.axes.iter().position(|axis| axis.1 == role) else {
+                return vec![part.to_vec()];
+            };
             let with = |i: u64| {
                 let mut ranges = part.to_vec();
                 ranges[axis] = i..i + 1;
@@ -142,15 +144,18 @@ impl Layout {
             parts = parts.iter().flat_map(|part| single(Role::Channel, part)).collect();
         }
         if !fits(&parts) {
-            let row = parts.iter().flat_map(|part| self.strips(part)).map(|strip| self.num_bytes(&strip)).max();
+            let row =
+                parts.iter().flat_map(|part| self.strips(part)).map(|strip| self.num_bytes(&strip)).max();
             let num = most / row.unwrap_or(1).max(1);
             let rows = self.layers(1, num);
             let cut = |part: &Vec<Range<u64>>| {
-                rows.iter().map(|rows| {
-                    let mut ranges = part.clone();
-                    ranges[self.in_space[1]] = rows.clone();
-                    ranges
-                }).collect::<Vec<_>>()
+                rows.iter()
+                    .map(|rows| {
+                        let mut ranges = part.clone();
+                        ranges[self.in_space[1]] = rows.clone();
+                        ranges
+                    })
+                    .collect::<Vec<_>>()
             };
             parts = parts.iter().flat_map(cut).collect();
         }
@@ -349,8 +354,7 @@ mod tests {
                     Role::Space(i) => {
                         let k = (0..3).find(|k| chosen.grid.order[*k].0 == i).unwrap();
                         let out = chunk.at[k] * 3 + in_chunk[k];
-                        let expected =
-                            if chosen.grid.order[k].1 { axis.size - 1 - out } else { out };
+                        let expected = if chosen.grid.order[k].1 { axis.size - 1 - out } else { out };
                         assert_eq!(found, expected, "{:?} {in_chunk:?}", chosen.grid.order);
                     }
                     _ => {}

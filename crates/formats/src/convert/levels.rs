@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Conversion, check_cancelled};
 use super::average::{NumberBox, Rule};
+use super::{Conversion, check_cancelled};
 use crate::error::FormatError;
 use crate::zarr::ArrayWriter;
 
@@ -71,12 +71,12 @@ fn read_box(
                 let numbers = array.read(of, at)?;
                 // The part of the box that the chunk has, in voxels of the array.
                 let start: [u64; 3] = std::array::from_fn(|k| (at[k] * side[k]).max(from[k]));
-                let end: [u64; 3] =
-                    std::array::from_fn(|k| ((at[k] + 1) * side[k]).min(from[k] + dims[k]));
+                let end: [u64; 3] = std::array::from_fn(|k| ((at[k] + 1) * side[k]).min(from[k] + dims[k]));
                 let run = (end[0] - start[0]) as usize * size;
                 for z in start[2]..end[2] {
                     for y in start[1]..end[1] {
-                        let in_chunk = ((z - cz * side[2]) * side[1] + y - cy * side[1]) * side[0] + start[0] - cx * side[0];
+                        let in_chunk = ((z - cz * side[2]) * side[1] + y - cy * side[1]) * side[0] + start[0]
+                            - cx * side[0];
                         let in_box = ((z - from[2]) * dims[1] + y - from[1]) * dims[0] + start[0] - from[0];
                         let (a, b) = (in_chunk as usize * size, in_box as usize * size);
                         bytes[b..b + run].copy_from_slice(&numbers[a..a + run]);

@@ -168,11 +168,21 @@ impl<'a> Conversion<'a> {
     /// Converts. The target appears at the end.
     ///
     /// # Errors
-    /// The source is damaged, the system refuses, or the options cancel. What is done stays for another run.
+    /// The source is damaged, the system refuses, or the options cancel. What is done stays for another run, unless the
+    /// source is damaged.
     pub fn run(mut self) -> Result<Converted, FormatError> {
-        let found = self.make()?;
-        self.part.finish(&self.target)?;
-        Ok(found)
+        match self.make() {
+            Ok(found) => {
+                self.part.finish(&self.target)?;
+                Ok(found)
+            }
+            // A full disk and a person who stops are no reason to begin anew. A damaged source is.
+            Err(e) if matches!(e, FormatError::Io { .. } | FormatError::Cancelled { .. }) => Err(e),
+            Err(e) => {
+                self.part.remove();
+                Err(e)
+            }
+        }
     }
 
     /// Writes everything into the unfinished result.

@@ -50,7 +50,10 @@ impl PartFolder {
         let mut own = PREFIX.to_owned();
         own.extend([&name.to_string_lossy(), SUFFIX]);
         let path = folder_of(target).join(own);
-        fs::create_dir_all(&path).map_err(&io)?;
+        match fs::create_dir(&path) {
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
+            made => made.map_err(&io)?,
+        }
         let lock = File::create(path.join("lock")).map_err(&io)?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => {
@@ -98,6 +101,11 @@ impl PartFolder {
         fs::write(&new, bytes).and_then(|()| fs::rename(&new, &path)).map_err(io)
     }
 
+    /// Removes the folder, as far as the system lets it.
+    pub(super) fn remove(self) {
+        let _ = fs::remove_dir_all(&self.path);
+    }
+
     /// Gives the image its name, and removes the folder.
     ///
     /// # Errors
@@ -115,7 +123,7 @@ impl PartFolder {
 }
 
 /// What tells the files of a source from changed ones: names, lengths and times. Files beside a header count too if it
-/// may name them. `None` for an address.
+/// may name them.
 pub(super) fn files_of(path: &Path) -> String {
     let mut text = String::new();
     if path.is_dir() {

@@ -67,7 +67,8 @@ pub(super) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
 
 /// Encodes numbers of `type_size` bytes in a container of one block, shuffled and packed by zstd.
 pub(super) fn encode(bytes: &[u8], type_size: usize) -> Result<Vec<u8>, String> {
-    let size = |n: usize| u32::try_from(n).map_err(|_| format!("a chunk of {n} bytes, expected fewer than 4 GiB"));
+    let size =
+        |n: usize| u32::try_from(n).map_err(|_| format!("a chunk of {n} bytes, expected fewer than 4 GiB"));
     let shuffled = if type_size > 1 { Some(shuffled(bytes, type_size)) } else { None };
     let packed = zstd::bulk::compress(shuffled.as_deref().unwrap_or(bytes), LEVEL);
     let packed = packed.map_err(|e| quoted(&e.to_string()))?;

@@ -99,7 +99,8 @@ impl ImageFacts<'_> {
         if self.num_channels.is_some() {
             axes.push(json!({"name": "c", "type": "channel"}));
         }
-        let unit = self.plan.geometry.unit.as_deref().and_then(length_unit).and_then(|(_, short)| long(short));
+        let unit =
+            self.plan.geometry.unit.as_deref().and_then(length_unit).and_then(|(_, short)| long(short));
         for (name, toward) in ["z", "y", "x"].into_iter().zip(TOWARD) {
             let mut axis = json!({"name": name, "type": "space"});
             if let Some(unit) = unit {
@@ -116,7 +117,8 @@ impl ImageFacts<'_> {
     fn dataset(&self, number: usize) -> Value {
         let level = &self.levels[number];
         let first = self.first.unwrap_or([0.0; 3]);
-        let mut scale: Vec<f64> = self.num_times.map(|_| self.plan.time_step.unwrap_or(1.0)).into_iter().collect();
+        let mut scale: Vec<f64> =
+            self.num_times.map(|_| self.plan.time_step.unwrap_or(1.0)).into_iter().collect();
         scale.extend(self.num_channels.map(|_| 1.0));
         let mut translation = vec![0.0; scale.len()];
         scale.extend(level.spacing.iter().rev());
@@ -137,8 +139,7 @@ impl ImageFacts<'_> {
         let name = |i: u64| plan.channel_names.get(i as usize).map_or("", String::as_str);
         let is_alone = self.channels.end - self.channels.start == 1;
         let is_hidden = |i: u64| look(i).is_hidden || (!is_alone && i >= plan.num_joint);
-        let is_known =
-            |i: u64| look(i) != ChannelLook::default() || !name(i).is_empty() || is_hidden(i);
+        let is_known = |i: u64| look(i) != ChannelLook::default() || !name(i).is_empty() || is_hidden(i);
         if !self.channels.clone().any(is_known) {
             return None;
         }
@@ -157,7 +158,9 @@ impl ImageFacts<'_> {
             channel
         };
         let channels: Vec<Value> = self.channels.clone().map(channel).collect();
-        Some(json!({"version": VERSION, "name": self.name, "channels": channels, "rdefs": {"model": "color"}}))
+        Some(
+            json!({"version": VERSION, "name": self.name, "channels": channels, "rdefs": {"model": "color"}}),
+        )
     }
 }
 

@@ -20,11 +20,11 @@ use rayon::prelude::*;
 
 use self::array::Array;
 use self::chunks::read_chunks;
+pub(crate) use self::describe::{Frame, ImageFacts};
 use self::multiscale::Multiscale;
+pub(crate) use self::pyramid::{PyramidLevel, pyramid_levels};
 use self::store::Store;
 use self::values::ArrayValues;
-pub(crate) use self::describe::{Frame, ImageFacts};
-pub(crate) use self::pyramid::{PyramidLevel, pyramid_levels};
 pub(crate) use self::write::{ArrayWriter, write_document};
 use crate::collector::Collector;
 use crate::error::{FormatError, malformed, not_there};

@@ -146,7 +146,17 @@ impl Multiscale {
         let channels = channels.map_or(&[][..], |list| &list[..list.len().min(1024)]);
         let looks = channels.iter().map(look).collect();
         let channels = channels.iter().map(label).collect();
-        Ok(Self { version, axes, levels, all, channels, looks, labels: labels(attributes), is_image: true, own: OwnWords::of(attributes) })
+        Ok(Self {
+            version,
+            axes,
+            levels,
+            all,
+            channels,
+            looks,
+            labels: labels(attributes),
+            is_image: true,
+            own: OwnWords::of(attributes),
+        })
     }
 
     fn of_array(store: &Store, path: &Path) -> Result<Option<Self>, FormatError> {

@@ -141,7 +141,8 @@ impl ArrayWriter {
             true => Ok(bytes),
             false => Err(format!("it has {} bytes, expected {num_bytes}", bytes.len())),
         });
-        found.map_err(|problem| FormatError::Data { path: shown(&path), problem: format!("chunk: {problem}") })
+        found
+            .map_err(|problem| FormatError::Data { path: shown(&path), problem: format!("chunk: {problem}") })
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod bench;
 mod compare;
+mod convert;
 mod demo;
 mod doctor;
 mod headless;
@@ -38,6 +39,8 @@ pub(crate) enum Command {
     Compare(compare::CompareArgs),
     /// Show what is in a volume or in a stored layered frame
     Info(info::InfoArgs),
+    /// Make a pyramid in OME-Zarr of a volume, in bounded memory
+    Convert(convert::ConvertArgs),
     /// Measure speed, latency or the stages of a frame
     Bench(bench::BenchArgs),
     /// Join standard input and output with a server of this machine
@@ -63,6 +66,7 @@ impl Command {
             Self::Reproject(args) => reproject::run(&args),
             Self::Compare(args) => compare::run(&args),
             Self::Info(args) => info::run(&args),
+            Self::Convert(args) => convert::run(&args),
             Self::Bench(args) => bench::run(args),
             Self::Relay(args) => relay::run(&args),
             Self::Doctor(args) => doctor::run(&args),
