@@ -42,7 +42,8 @@ impl Conversion<'_> {
         let (options, mut file) = self.reopened(pass)?;
         let options = OpenOptions { progress: None, ..options };
         let mut warnings = Vec::new();
-        for group in self.groups[done..].to_vec() {
+        for number in done..self.groups.len() {
+            let group = self.groups[number].clone();
             let chosen = self.chosen_part(&group);
             let path = self.path.clone();
             let mut collector = Collector::raw(file.plan(), &chosen, &path, &options);

@@ -27,34 +27,67 @@ impl Tally {
 
     /// Of little-endian numbers. `map` is the slope and intercept of their values.
     pub(super) fn of(bytes: &[u8], dtype: Dtype, map: (f64, f64)) -> Self {
-        fn numbers<const N: usize>(bytes: &[u8], map: (f64, f64), number: impl Fn([u8; N]) -> f32) -> Tally {
-            let numbers = bytes.as_chunks::<N>().0.iter().map(|b| number(*b));
-            numbers.fold(Tally::NONE, |tally, x| tally.with(x, map))
+        macro_rules! of {
+            ($list:ident, $t:ty, $single:expr) => {{
+                let numbers = bytes.as_chunks().0.iter().map(|b| <$t>::from_le_bytes(*b));
+                Self::$list(numbers, map, $single)
+            }};
         }
         match dtype {
-            Dtype::Int8 => numbers(bytes, map, |b| i8::from_le_bytes(b).into()),
-            Dtype::Uint8 => numbers(bytes, map, |b| u8::from_le_bytes(b).into()),
-            Dtype::Int16 => numbers(bytes, map, |b| i16::from_le_bytes(b).into()),
-            Dtype::Uint16 => numbers(bytes, map, |b| u16::from_le_bytes(b).into()),
-            Dtype::Int32 => numbers(bytes, map, |b| i32::from_le_bytes(b) as f32),
-            Dtype::Uint32 => numbers(bytes, map, |b| u32::from_le_bytes(b) as f32),
-            Dtype::Int64 => numbers(bytes, map, |b| i64::from_le_bytes(b) as f32),
-            Dtype::Uint64 => numbers(bytes, map, |b| u64::from_le_bytes(b) as f32),
-            Dtype::Half => numbers(bytes, map, |b| f16::from_le_bytes(b).to_f32()),
-            Dtype::Float => numbers(bytes, map, f32::from_le_bytes),
-            Dtype::Double => numbers(bytes, map, |b| single(f64::from_le_bytes(b))),
+            Dtype::Int8 => of!(of_integers, i8, f32::from),
+            Dtype::Uint8 => of!(of_integers, u8, f32::from),
+            Dtype::Int16 => of!(of_integers, i16, f32::from),
+            Dtype::Uint16 => of!(of_integers, u16, f32::from),
+            Dtype::Int32 => of!(of_integers, i32, |x| x as f32),
+            Dtype::Uint32 => of!(of_integers, u32, |x| x as f32),
+            Dtype::Int64 => of!(of_integers, i64, |x| x as f32),
+            Dtype::Uint64 => of!(of_integers, u64, |x| x as f32),
+            Dtype::Half => of!(of_floats, f16, f16::to_f32),
+            Dtype::Float => of!(of_floats, f32, |x| x),
+            Dtype::Double => of!(of_floats, f64, single),
         }
     }
 
-    fn with(mut self, x: f32, (slope, intercept): (f64, f64)) -> Self {
-        self.num += 1;
-        if !x.is_finite() {
-            self.num_not_finite += 1;
+    /// Integers have no markers, so their range is enough.
+    fn of_integers<T: Copy + Ord>(
+        numbers: impl Iterator<Item = T> + Clone,
+        map: (f64, f64),
+        single: impl Fn(T) -> f32,
+    ) -> Self {
+        let range = |(least, greatest): (T, T), x: T| (least.min(x), greatest.max(x));
+        let Some(first) = numbers.clone().next() else { return Self::NONE };
+        let (least, greatest) = numbers.clone().fold((first, first), range);
+        let extremes = Extremes::NONE.with(single(least)).with(single(greatest));
+        let num = numbers.clone().count() as u64;
+        Self { extremes, num, ..Self::NONE }.with_ct(numbers.map(single), map)
+    }
+
+    fn of_floats<T>(
+        numbers: impl Iterator<Item = T> + Clone,
+        map: (f64, f64),
+        single: impl Fn(T) -> f32 + Copy,
+    ) -> Self {
+        let singles = numbers.map(single);
+        let mut tally = Self::NONE;
+        for x in singles.clone() {
+            tally.num += 1;
+            if x.is_finite() {
+                tally.extremes = tally.extremes.with(x);
+            } else {
+                tally.num_not_finite += 1;
+            }
+        }
+        tally.with_ct(singles.filter(|x| x.is_finite()), map)
+    }
+
+    /// Counts what CT scanners write, if any of the numbers is as low.
+    fn with_ct(mut self, numbers: impl Iterator<Item = f32>, (slope, intercept): (f64, f64)) -> Self {
+        let value = |x: f32| (f64::from(x) * slope + intercept) as f32;
+        let (least, greatest) = self.extremes.range();
+        if value(least).min(value(greatest)) > HIGHEST_OF_CT {
             return self;
         }
-        self.extremes = self.extremes.with(x);
-        let value = (f64::from(x) * slope + intercept) as f32;
-        if value <= HIGHEST_OF_CT {
+        for value in numbers.map(value).filter(|value| *value <= HIGHEST_OF_CT) {
             for (outside, [equal, beside]) in OF_CT.iter().zip(&mut self.of_ct) {
                 *equal += u64::from(value == *outside);
                 *beside += u64::from(value != *outside && (value - outside).abs() <= NEAR);

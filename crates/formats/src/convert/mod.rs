@@ -176,8 +176,13 @@ impl<'a> Conversion<'a> {
                 self.part.finish(&self.target)?;
                 Ok(found)
             }
-            // A full disk and a person who stops are no reason to begin anew. A damaged source is.
-            Err(e) if matches!(e, FormatError::Io { .. } | FormatError::Cancelled { .. }) => Err(e),
+            // A full disk, a slow server and a person who stops are no reason to begin anew. A damaged file is.
+            Err(e)
+                if is_address(self.source)
+                    || matches!(e, FormatError::Io { .. } | FormatError::Cancelled { .. }) =>
+            {
+                Err(e)
+            }
             Err(e) => {
                 self.part.remove();
                 Err(e)
@@ -321,7 +326,10 @@ impl<'a> Conversion<'a> {
 
     /// Opens the source once more, with the channel of a pass.
     fn reopened(&self, pass: usize) -> Result<(OpenOptions<'a>, Box<dyn VolumeFile>), FormatError> {
-        let options = OpenOptions { selection: of_pass(&self.options, self.passes[pass]), ..self.options };
+        let selection = of_pass(&self.options, self.passes[pass]);
+        // A chunk is in memory packed, as bytes, and as a part of a block.
+        let max_bytes = if self.is_chunked { self.options.max_bytes / 4 } else { self.options.max_bytes };
+        let options = OpenOptions { selection, max_bytes, ..self.options };
         Ok((options, open_any(self.source, &options)?.1))
     }
 }

@@ -201,7 +201,7 @@ mod tests {
         assert_eq!((journal.num_done, part.image().join("x").exists()), (0, false));
         assert!(!target.exists());
         part.finish(&target).unwrap();
-        assert_eq!(entries(folder.path()), [target.clone()]);
+        assert_eq!(entries(folder.path()).len(), 1);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert!(PartFolder::open(&target, "one".into()).is_err(), "it exists");
     }

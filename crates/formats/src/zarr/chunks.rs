@@ -221,7 +221,7 @@ impl<'a> Chunks<'a> {
             if let Some(axis) = self.channel_axis {
                 part[axis] = 0..1;
             }
-            let mut ranges: Vec<Range<usize>> = if self.is_raw { vec![0..size] } else { Vec::new() };
+            let mut ranges: Vec<Range<usize>> = self.is_raw.then_some(0..size).into_iter().collect();
             ranges.extend(part.iter().rev().map(|r| r.start as usize..r.end as usize));
             ranges.extend(std::iter::repeat_n(0..1, self.num_more_axes));
             pieces.push(Piece { channel: channel as usize, ranges, sink });

@@ -55,7 +55,7 @@ impl ImageFacts<'_> {
             self.omero().map(|omero| ("omero", omero))
         };
         let own = self.own();
-        let own = (!own.is_empty()).then(|| ("isinglass", Value::Object(own)));
+        let own = (!own.is_empty()).then_some(("isinglass", Value::Object(own)));
         for (key, value) in more.into_iter().chain(own) {
             all[key] = value;
         }
