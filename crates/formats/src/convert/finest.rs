@@ -124,12 +124,12 @@ struct GroupSink<'c, 'a> {
     pass: usize,
     /// The group that is collected.
     next: usize,
-    store: Store,
+    store: GroupBytes,
     num_bytes: u64,
 }
 
 /// The bytes of a group.
-enum Store {
+enum GroupBytes {
     Memory(Vec<u8>),
     /// A file without a name, for groups that are too large.
     File(File),
@@ -144,9 +144,9 @@ impl<'c, 'a> GroupSink<'c, 'a> {
             let mut bytes = Vec::new();
             let room = bytes.try_reserve_exact(largest as usize);
             room.map_err(|_| io_error(&conversion.path)(io::ErrorKind::OutOfMemory.into()))?;
-            Store::Memory(bytes)
+            GroupBytes::Memory(bytes)
         } else {
-            Store::File(tempfile::tempfile_in(folder).map_err(io_error(folder))?)
+            GroupBytes::File(tempfile::tempfile_in(folder).map_err(io_error(folder))?)
         };
         Ok(Self { conversion, pass, next, store, num_bytes: 0 })
     }
@@ -161,11 +161,11 @@ impl<'c, 'a> GroupSink<'c, 'a> {
     fn write_group(&mut self) -> Result<(), FormatError> {
         let group = self.conversion.groups[self.next].clone();
         match &mut self.store {
-            Store::Memory(bytes) => {
+            GroupBytes::Memory(bytes) => {
                 self.conversion.put(&Block { ranges: group, bytes }, self.pass)?;
                 bytes.clear();
             }
-            Store::File(file) => {
+            GroupBytes::File(file) => {
                 let folder = self.conversion.part.path().to_owned();
                 for strip in self.conversion.layout.strips(&group) {
                     let (length, places) = self.conversion.layout.pieces(&group, &strip);
@@ -193,8 +193,8 @@ impl NumberSink for GroupSink<'_, '_> {
                 return Ok(());
             }
             match &mut self.store {
-                Store::Memory(held) => held.extend_from_slice(now),
-                Store::File(file) => {
+                GroupBytes::Memory(held) => held.extend_from_slice(now),
+                GroupBytes::File(file) => {
                     file.write_all(now).map_err(io_error(self.conversion.part.path()))?;
                 }
             }

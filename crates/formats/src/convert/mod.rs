@@ -22,7 +22,6 @@ use self::average::Rule;
 use self::gaps::{Tally, shared_gap};
 use self::layout::Layout;
 use self::part::{Journal, PartFolder, files_of};
-use crate::axes::World;
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
 use crate::outline::Level;
@@ -31,7 +30,7 @@ use crate::reading::Meaning;
 use crate::selection::{Region, Selection};
 use crate::source::{OpenOptions, file_name, open, open_any};
 use crate::web::is_address;
-use crate::zarr::{ArrayWriter, Frame, ImageFacts, PyramidLevel, pyramid_levels, write_document};
+use crate::zarr::{ArrayWriter, ImageFacts, PyramidLevel, pyramid_levels, write_document};
 
 /// A conversion that has read the header of its source, and begun or found its unfinished result.
 pub struct Conversion<'a> {
@@ -225,11 +224,7 @@ impl<'a> Conversion<'a> {
             plan: &self.plan,
             levels,
             first,
-            frame: match self.plan.geometry.world {
-                World::Body => Frame::Body,
-                World::Image => Frame::Image,
-                World::Space => Frame::Space,
-            },
+            world: self.plan.geometry.world,
             num_times: several(self.layout.num_times()),
             num_channels: several(self.num_channels()),
             channels: from..from + self.num_channels(),

@@ -6,6 +6,7 @@ use isinglass_core::volume::VolumeLabel;
 use serde_json::{Map, Value, json};
 
 use super::pyramid::PyramidLevel;
+use crate::axes::World;
 use crate::plan::{ChannelLook, Plan};
 use crate::units::length_unit;
 
@@ -16,8 +17,8 @@ pub(crate) struct ImageFacts<'a> {
     pub(crate) levels: &'a [PyramidLevel],
     /// The centre of the first voxel along x, y and z, if the file has a position.
     pub(crate) first: Option<[f64; 3]>,
-    /// Directions of the axes: those of a body (`RAS`), of an image, or `None`.
-    pub(crate) frame: Frame,
+    /// What the axes are of.
+    pub(crate) world: World,
     /// Points in time and channels; `None` if there is no such axis.
     pub(crate) num_times: Option<u64>,
     pub(crate) num_channels: Option<u64>,
@@ -26,14 +27,6 @@ pub(crate) struct ImageFacts<'a> {
     pub(crate) are_labels: bool,
     /// The number of voxels without a value.
     pub(crate) gap: Option<f64>,
-}
-
-/// What the axes of an image are of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Frame {
-    Body,
-    Image,
-    Space,
 }
 
 impl ImageFacts<'_> {
@@ -78,7 +71,7 @@ impl ImageFacts<'_> {
     /// What OME-Zarr has no word for.
     fn own(&self) -> Map<String, Value> {
         let mut own = Map::new();
-        if self.frame == Frame::Space {
+        if self.world == World::Space {
             own.insert("frame".into(), "space".into());
         }
         if self.first.is_none() {
@@ -106,7 +99,7 @@ impl ImageFacts<'_> {
             if let Some(unit) = unit {
                 axis["unit"] = unit.into();
             }
-            if self.frame == Frame::Body {
+            if self.world == World::Body {
                 axis["orientation"] = json!({"type": "anatomical", "value": toward});
             }
             axes.push(axis);

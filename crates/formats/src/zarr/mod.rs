@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use self::array::Array;
 use self::chunks::read_chunks;
-pub(crate) use self::describe::{Frame, ImageFacts};
+pub(crate) use self::describe::ImageFacts;
 use self::multiscale::Multiscale;
 pub(crate) use self::pyramid::{PyramidLevel, pyramid_levels};
 use self::store::Store;
