@@ -14,6 +14,7 @@ use super::store::{Part, Store};
 use crate::channels::{ChannelSinks, Piece, StreamShape};
 use crate::collector::Collector;
 use crate::decode::VoxelSink;
+use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
 use crate::hyperslab::Steps;
 use crate::warning::WarningKind;
@@ -29,6 +30,8 @@ pub(super) struct Chunks<'a> {
     cancel: Option<&'a AtomicBool>,
     /// The level, and what is kept of all levels.
     shared: Option<(usize, &'a SharedChunks)>,
+    /// Whether the bytes of numbers are wanted as they are.
+    is_raw: bool,
 }
 
 /// Files of chunks or shards.
@@ -61,8 +64,8 @@ pub(super) fn read_chunks(
     let selected: Vec<Steps> = collector.selected().iter().take(num_axes).rev().cloned().collect();
     let channel_axis = collector.channel_axis().map(|axis| num_axes - 1 - axis);
     let num_more_axes = collector.selected().len() - num_axes;
-    let cancel = collector.cancel();
-    let chunks = Chunks { array, store, selected, channel_axis, num_more_axes, cancel, shared: None };
+    let (cancel, is_raw, shared) = (collector.cancel(), collector.is_raw(), None);
+    let chunks = Chunks { array, store, selected, channel_axis, num_more_axes, cancel, shared, is_raw };
     chunks.check_sizes(collector, most_bytes)?;
     chunks.read_all(collector)
 }
@@ -85,6 +88,7 @@ impl<'a> Chunks<'a> {
             num_more_axes: selected.len() - num_axes,
             cancel: None,
             shared: Some(shared),
+            is_raw: false,
         }
     }
 
@@ -297,15 +301,16 @@ impl<'a> Chunks<'a> {
                 part[axis] = channel..channel + 1;
             }
             let numbers = self.gather(&bytes, chunk, &part, &strides);
-            let count = numbers.len() / array.dtype.num_bytes();
-            let sink = VoxelSink::new(array.dtype, array.codecs.endian, count);
+            let size = array.dtype.num_bytes();
+            let (dtype, bytes_each) = if self.is_raw { (Dtype::Uint8, 1) } else { (array.dtype, size) };
+            let sink = VoxelSink::new(dtype, array.codecs.endian, numbers.len() / bytes_each);
             let mut sink = sink.map_err(|_| io_error(&chunk.path)(std::io::ErrorKind::OutOfMemory.into()))?;
             sink.push_bytes(&numbers);
             if let Some(axis) = self.channel_axis {
                 part[axis] = 0..1;
             }
-            let mut ranges: Vec<Range<usize>> =
-                part.iter().rev().map(|r| r.start as usize..r.end as usize).collect();
+            let mut ranges: Vec<Range<usize>> = self.is_raw.then_some(0..size).into_iter().collect();
+            ranges.extend(part.iter().rev().map(|r| r.start as usize..r.end as usize));
             ranges.extend(std::iter::repeat_n(0..1, self.num_more_axes));
             pieces.push(Piece { channel: channel as usize, ranges, sink });
         }
