@@ -361,6 +361,11 @@ impl Volume {
         self.spacing
     }
 
+    /// Voxels along x, y, z of the finest level.
+    pub fn finest_dims(&self) -> [u32; 3] {
+        self.finest.as_ref().map_or(self.dims, |finest| finest.dims)
+    }
+
     /// Distance between voxel centres of the finest level, world units.
     pub fn finest_spacing(&self) -> Vec3 {
         self.finest.as_ref().map_or(self.spacing, |finest| finest.spacing)
@@ -385,11 +390,8 @@ impl Volume {
     /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres). A level of a
     /// pyramid has the box of the finest level.
     pub fn bounds(&self) -> Aabb {
-        let (dims, spacing) = match &self.finest {
-            Some(finest) => (Vec3::from_array(finest.dims.map(|d| d as f32)), finest.spacing),
-            None => (self.dims_f32(), self.spacing),
-        };
-        let half = dims * spacing * 0.5;
+        let dims = Vec3::from_array(self.finest_dims().map(|d| d as f32));
+        let half = dims * self.finest_spacing() * 0.5;
         Aabb { min: -half, max: half }
     }
 

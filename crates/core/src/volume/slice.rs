@@ -111,9 +111,11 @@ impl SliceSpec {
                 let center = |i: usize, at: u32| (at as f32 + 0.5 - dims[i] as f32 * 0.5) * spacing[i];
                 let mut origin = Vec3::from_array(std::array::from_fn(|i| center(i, 0)));
                 origin[axis] = center(axis, index);
-                let step = |i: usize| Vec3::AXES[i] * spacing[i];
+                // Of longer sides, every second or third voxel has a point.
+                let every = |i: usize| dims[i].div_ceil(MAX_SLICE_SIDE);
+                let step = |i: usize| Vec3::AXES[i] * (spacing[i] * every(i) as f32);
                 let [a, b] = across(axis);
-                let size = [a, b].map(|i| dims[i]);
+                let size = [a, b].map(|i| dims[i].div_ceil(every(i)));
                 SliceGrid { origin, column: step(a), row: step(b), size }
             }
             SlicePlane::Oblique { origin, column, row, size } => SliceGrid {
@@ -183,14 +185,17 @@ impl Slice {
     /// Makes a slice of a volume; `None` if nobody waits for it any more. Points outside the volume have the least
     /// stored number.
     ///
+    /// A level of a pyramid is cut as the finest level would be, by values between its voxels.
+    ///
     /// Codes of 8-bit and 16-bit voxels are the stored numbers. Means and oblique values of 8-bit voxels have 16 bits.
     /// Floats are rounded to 65535 steps of their range.
     pub fn of(volume: &Volume, spec: &SliceSpec, wanted: Wanted<'_>) -> Option<Self> {
-        let grid = spec.grid(volume.dims(), volume.spacing());
+        let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
+        let grid = spec.grid(dims, spacing);
         let is_whole = matches!(spec.plane, SlicePlane::Axis { .. }) && spec.mode != SlabMode::Mean;
         let is_thin = matches!(&spec.plane, SlicePlane::Axis { axis, index } if {
             let axis = usize::from((*axis).min(2));
-            spec.slab(*index, volume.dims()[axis], volume.spacing()[axis]).len() == 1
+            spec.slab(*index, dims[axis], spacing[axis]).len() == 1
         });
         let (lo, scale, is_byte) = match volume.voxels() {
             Voxels::U8(_) if is_whole || is_thin => (0.0, 1.0, true),
@@ -229,6 +234,28 @@ fn values<T: Copy + Into<f64> + Sync>(
     let (dims, spacing) = (volume.dims(), volume.spacing());
     let rows = out.par_chunks_mut(width).enumerate();
     match spec.plane {
+        SlicePlane::Axis { axis, index } if volume.finest().is_some() => {
+            let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
+            let along = usize::from(axis.min(2));
+            let slab = spec.slab(index, dims[along], spacing[along]);
+            let layer = |k: usize| {
+                let plane = SlicePlane::Axis { axis, index: k as u32 };
+                SliceSpec { plane, ..*spec }.grid(dims, spacing)
+            };
+            let layers: Vec<SliceGrid> = slab.map(layer).collect();
+            rows.for_each(|(y, row)| {
+                if !wanted() {
+                    return;
+                }
+                for (x, value) in row.iter_mut().enumerate() {
+                    for (n, layer) in layers.iter().enumerate() {
+                        let stored = trilinear(volume, voxels, layer.point(x as f32, y as f32));
+                        add(value, stored.unwrap_or_default(), n, spec.mode);
+                    }
+                }
+                end(row, layers.len(), spec.mode);
+            });
+        }
         SlicePlane::Axis { axis, index } => {
             let axis = usize::from(axis.min(2));
             let slab = spec.slab(index, dims[axis], spacing[axis]);

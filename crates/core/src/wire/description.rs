@@ -59,8 +59,8 @@ impl VolumeDescription {
         let cut = |s: &str| text::printable(s, MAX_NAME_BYTES / 4);
         Self {
             name: cut(&volume.info.name),
-            dims: volume.dims(),
-            spacing: volume.spacing().to_array(),
+            dims: volume.finest_dims(),
+            spacing: volume.finest_spacing().to_array(),
             unit: volume.info.unit.as_deref().map(cut),
             orientation: volume.info.orientation.as_deref().map(cut),
             placement: volume.info.placement,

@@ -49,8 +49,15 @@ impl ProbeRequest {
         let voxel = is_inside.then(|| {
             let at = point / volume.spacing() + volume.voxel_origin();
             let dims = volume.dims();
-            let index = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
-            let [x, y, z] = index.map(|i| i as i32);
+            let here: [u32; 3] = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
+            let [x, y, z] = here.map(|i| i as i32);
+            // Viewers know the finest level's voxels.
+            let finest = volume.finest_dims();
+            let at = (point - bounds.min) / volume.finest_spacing();
+            let index = match volume.finest() {
+                Some(_) => std::array::from_fn(|i| (at[i].max(0.0) as u32).min(finest[i] - 1)),
+                None => here,
+            };
             ProbedVoxel { index, value: volume.value_from_stored(volume.stored_at(x, y, z)) }
         });
         Probed { id: self.id, point: self.point, voxel }

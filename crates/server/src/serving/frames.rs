@@ -162,7 +162,7 @@ impl Viewer {
                     self.occlusion = Some(occlusion.clone());
                 }
                 let (now, version) = (self.now_micros(), asked.header.look);
-                self.note_pages(now, generated.pages.as_ref());
+                self.note_pages(now, &generated);
                 if version == self.session.control.talk().quietly().look.version() {
                     let look = self.session.control.talk().quietly().look.look().clone();
                     self.sizes.note_frame(&look, &generated);

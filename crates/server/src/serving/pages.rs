@@ -3,6 +3,7 @@
 use isinglass_core::wire::PoseRequest;
 
 use super::Viewer;
+use crate::generator::Generated;
 use crate::paging::FramePages;
 
 /// The pages of a viewer's newest frame.
@@ -11,23 +12,27 @@ pub(super) struct ShownPages {
     pages: FramePages,
     /// When it was made, µs.
     at: u64,
+    /// How long that took, µs.
+    took: u64,
 }
 
 impl Viewer {
     /// A frame was made of these pages.
-    pub(super) fn note_pages(&mut self, now: u64, pages: Option<&FramePages>) {
-        let Some(pages) = pages else { return };
+    pub(super) fn note_pages(&mut self, now: u64, generated: &Generated) {
+        let Some(pages) = &generated.pages else { return };
         {
             let mut talk = self.session.talk();
             talk.look.handle_pages(pages.is_draft());
             talk.pages.handle_progress(pages.progress);
         }
-        self.shown_pages = Some(ShownPages { pages: pages.clone(), at: now });
+        self.shown_pages =
+            Some(ShownPages { pages: pages.clone(), at: now, took: generated.generate_micros });
     }
 
     /// When the present pose needs a frame of more pages, µs; `None` if nothing is new.
     pub(super) fn pages_due(&self, now: u64, request: &PoseRequest) -> Option<u64> {
-        let ShownPages { pages, at } = self.shown_pages.as_ref().filter(|shown| shown.pages.is_draft())?;
+        let ShownPages { pages, at, took } =
+            self.shown_pages.as_ref().filter(|shown| shown.pages.is_draft())?;
         if self.resting_pose != Some(request.id) {
             return Some(at + REST_MICROS);
         }
@@ -35,11 +40,15 @@ impl Viewer {
         // The last pages are shown at once.
         let viewer = self.session.viewer;
         let is_complete = || self.present.pager.as_ref().is_some_and(|pager| !pager.is_loading(viewer));
-        is_new.then(|| if is_complete() { now } else { at + PERIOD_MICROS })
+        // Frames leave time to reading.
+        let period = PERIOD_MICROS.max(FRAME_TIMES * took);
+        is_new.then(|| if is_complete() { now } else { at + period })
     }
 }
 
 /// A camera rests when no other pose has come for this time, µs.
 const REST_MICROS: u64 = 150_000;
-/// Time between frames while pages come, µs.
+/// Least time between frames while pages come, µs.
 const PERIOD_MICROS: u64 = 400_000;
+/// The same in times that a frame takes.
+const FRAME_TIMES: u64 = 4;
