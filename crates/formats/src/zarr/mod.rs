@@ -2,7 +2,6 @@
 //! the selected level and region are read.
 
 mod array;
-mod blosc;
 mod chunks;
 mod codec;
 mod json;
@@ -20,7 +19,8 @@ use self::multiscale::Multiscale;
 use self::store::Store;
 use crate::collector::Collector;
 use crate::error::{FormatError, malformed, not_there};
-use crate::plan::{Memory, Plan, VolumeFile};
+use crate::plan::{Plan, VolumeFile};
+use crate::pyramid::{level_to_show, warn_of_level};
 use crate::source::OpenOptions;
 use crate::warning::WarningKind;
 use crate::web::WebFolder;
@@ -84,22 +84,14 @@ impl ZarrImage {
             levels.map(|level| Array::read(&store, &image.join(&level.path))).collect::<Result<Vec<_>, _>>()
         };
         let mut arrays = store.on_threads(read)?;
-        let level = match options.selection.level {
-            Some(level) if level as usize >= arrays.len() => {
-                return Err(not_there(path, "level", level.into(), arrays.len()));
-            }
-            Some(level) => level as usize,
-            None if options.selection.region.is_some() => 0,
-            None => arrays.iter().position(|a| fits(a, &multiscale, options)).unwrap_or(arrays.len() - 1),
+        let dims: Vec<[u64; 3]> = arrays.iter().map(|a| multiscale.space_of(&a.shape)).collect();
+        let num_channels = match options.selection.channel {
+            Some(_) => 1,
+            None => multiscale.num_channels(&arrays[0].shape).min(MAX_CHANNELS as u64),
         };
+        let level = level_to_show(path, &dims, num_channels, arrays[0].dtype, options)?;
         let mut plan = multiscale.plan(&arrays, level).map_err(bad)?;
-        if level > 0 && options.selection.level.is_none() {
-            let text = format!(
-                "level {level} of {} is shown, the finest that fits into memory and a texture",
-                arrays.len()
-            );
-            plan.warn(WarningKind::Choice, text);
-        }
+        warn_of_level(&mut plan, options);
         if series.len() > 1 {
             if options.selection.series.is_none() {
                 plan.warn(
@@ -111,20 +103,6 @@ impl ZarrImage {
         }
         Ok(Self { plan, array: arrays.swap_remove(level), most_bytes: options.max_bytes, store })
     }
-}
-
-/// Whether the channels of a level can be shown as a whole, or the one that is selected.
-fn fits(array: &Array, multiscale: &Multiscale, options: &OpenOptions) -> bool {
-    let dims = multiscale.space_of(&array.shape);
-    let max_side = u64::from(isinglass_core::volume::Volume::MAX_SIDE);
-    let num_channels = match options.selection.channel {
-        Some(_) => 1,
-        None => multiscale.num_channels(&array.shape).min(MAX_CHANNELS as u64),
-    };
-    let num_voxels = dims.iter().try_fold(1u64, |n, d| n.checked_mul(*d));
-    let memory = |num_voxels| Memory { num_voxels, dtype: array.dtype, is_permuted: false };
-    dims.iter().all(|d| *d <= max_side)
-        && num_voxels.is_some_and(|n| memory(n).needed(num_channels) <= options.max_bytes)
 }
 
 impl VolumeFile for ZarrImage {

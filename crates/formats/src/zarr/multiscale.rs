@@ -13,7 +13,7 @@ use super::store::Store;
 use crate::axes::{Geometry, World};
 use crate::error::{FormatError, malformed, quoted};
 use crate::outline::Level;
-use crate::plan::{Axis, ChannelLook, Plan, Role};
+use crate::plan::{Axis, AxisKind, ChannelLook, Plan, Role};
 use crate::units::{length_unit, time_step, time_unit};
 
 /// An image of several levels.
@@ -38,14 +38,6 @@ struct NamedAxis {
     unit: Option<(f64, &'static str)>,
     /// Its unit in seconds, if it is one of time.
     seconds: Option<f64>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum AxisKind {
-    /// The axis x, y or z.
-    Space(usize),
-    Channel,
-    Time,
 }
 
 /// The array of a level and its transformation.
