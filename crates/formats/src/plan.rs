@@ -403,11 +403,21 @@ pub(crate) fn read_volume(
     let chosen = file.plan().choose(path, options)?;
     let mut collector = Collector::new(file.plan(), &chosen, path, options);
     file.read(&mut collector)?;
-    let decoded = collector.finish()?;
+    let mut decoded = collector.finish()?;
     let plan = file.plan();
+    let empty: Vec<bool> = decoded.iter().map(|channel| !has_values(&channel.voxels)).collect();
+    if empty.contains(&false) {
+        decoded
+            .iter_mut()
+            .zip(&empty)
+            .filter(|(_, is_empty)| **is_empty)
+            .for_each(|(channel, _)| channel.empty());
+    }
     let mut volumes = Vec::new();
-    for (channel, decoded) in chosen.channels.clone().zip(decoded) {
-        volumes.push(channel_volume(plan, &chosen, channel, decoded, path)?);
+    for ((channel, decoded), is_empty) in chosen.channels.clone().zip(decoded).zip(empty) {
+        let mut volume = channel_volume(plan, &chosen, channel, decoded, path)?;
+        volume.info.channel.is_hidden |= is_empty;
+        volumes.push(volume);
     }
     let mut volumes = volumes.into_iter();
     let first = volumes.next().ok_or_else(|| malformed(path, &plan.format)("no voxels".into()))?;
@@ -427,6 +437,14 @@ pub(crate) fn read_volume(
         joint.info.warnings.extend(word.map(|word| word.text));
     }
     Ok(joint)
+}
+
+/// Whether any voxel is a number.
+fn has_values(voxels: &Voxels) -> bool {
+    match voxels {
+        Voxels::F32(v) => v.iter().any(|x| x.is_finite()),
+        _ => true,
+    }
 }
 
 /// The volume of one channel, with the warnings about its voxels.

@@ -20,7 +20,7 @@ use crate::raw::RawShape;
 use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
-use crate::web::is_address;
+use crate::web::{is_address, shown_address};
 use crate::{
     dicom, hdf5, metaimage, mgh, mrc, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr,
 };
@@ -135,7 +135,7 @@ fn outline_of(source: &str, options: &OpenOptions) -> Result<Outline, FormatErro
 /// Reads the header of a file, a folder or an image at an address. Returns its path, too.
 fn open_source(source: &str, options: &OpenOptions) -> Result<(PathBuf, Box<dyn VolumeFile>), FormatError> {
     if is_address(source) {
-        let path = PathBuf::from(source.trim_end_matches('/'));
+        let path = PathBuf::from(shown_address(source));
         return Ok((path, Box::new(zarr::ZarrImage::open_web(source, options)?)));
     }
     let path = path_of(source)?;

@@ -112,7 +112,7 @@ impl Opening {
             .file_name()
             .map_or_else(|| request.source.clone(), |n| n.to_string_lossy().into_owned());
         // The recent list may be read from another working folder.
-        let source = match request.source.starts_with("builtin:") {
+        let source = match request.source.starts_with("builtin:") || is_address(&request.source) {
             true => request.source.clone(),
             false => std::path::absolute(&request.source)
                 .map_or_else(|_| request.source.clone(), |path| path.to_string_lossy().into_owned()),

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use hdf5_pure::{Dataset, Filter, Layout};
+use hdf5_pure::{ChunkIndex, Dataset, Error, Filter, Layout};
 
 use super::contents::{Contents, Listed, problem};
 use super::source::SharedFile;
@@ -185,7 +185,19 @@ pub(super) fn check(array: &Listed) -> Result<(Vec<Codec>, Layout), String> {
     if array.shape.is_empty() || array.shape.contains(&0) {
         return Err(format!("{} has no numbers", array.description()));
     }
-    let layout = dataset.layout().map_err(|e| problem(&e))?;
+    let layout = dataset.layout().map_err(|e| match e {
+        Error::Format(hdf5_pure::FormatError::InvalidLayoutVersion(version)) => format!(
+            "{} is stored as only new versions of HDF5 do (layout {version}), expected libver=\"v114\" or an earlier one",
+            array.description()
+        ),
+        e => problem(&e),
+    })?;
+    if matches!(layout, Layout::Chunked { index: ChunkIndex::BTreeV2, .. }) {
+        return Err(format!(
+            "{} may grow along several axes (B-tree of version 2), expected one; `h5repack` with `--high=1` stores it anew",
+            array.description()
+        ));
+    }
     if layout == Layout::Virtual {
         return Err(format!(
             "{} is virtual: its numbers are in other files or arrays, expected it to have them",

@@ -1,4 +1,4 @@
-//! OME-Zarr 0.1 to 0.5 (ngff.openmicroscopy.org) on Zarr 2 and 3: pyramids of chunked arrays, and single arrays. Only
+//! OME-Zarr 0.1 to 0.6 (ngff.openmicroscopy.org) on Zarr 2 and 3: pyramids of chunked arrays, and single arrays. Only
 //! the selected level and region are read.
 
 mod array;
@@ -9,6 +9,11 @@ mod multiscale;
 mod store;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
+use std::sync::{Arc, mpsc};
+use std::thread;
+use std::time::Duration;
 
 use isinglass_core::volume::MAX_CHANNELS;
 use rayon::prelude::*;
@@ -18,7 +23,7 @@ use self::chunks::read_chunks;
 use self::multiscale::Multiscale;
 use self::store::Store;
 use crate::collector::Collector;
-use crate::error::{FormatError, malformed, not_there};
+use crate::error::{FormatError, io_error, malformed, not_there};
 use crate::plan::{Plan, VolumeFile};
 use crate::pyramid::{level_to_show, warn_of_level};
 use crate::source::OpenOptions;
@@ -43,11 +48,37 @@ impl ZarrImage {
         Self::in_store(Store::of_folder(path, options), path, options)
     }
 
-    /// Opens the group or array at an address of the web.
+    /// Opens the group or array at an address of the web. A server may take long for each file, so another thread asks
+    /// it, which nobody waits for after cancelling.
     pub(crate) fn open_web(address: &str, options: &OpenOptions) -> Result<Self, FormatError> {
         let folder = WebFolder::new(address);
         let path = PathBuf::from(folder.address());
-        Self::in_store(Store::of_web(folder)?, &path, options)
+        let (selection, max_bytes) = (options.selection, options.max_bytes);
+        let (sender, receiver) = mpsc::sync_channel(1);
+        let is_cancelled = Arc::new(AtomicBool::new(false));
+        let (theirs, of_thread) = (Arc::clone(&is_cancelled), path.clone());
+        let survey = move || {
+            let cancel = Some(&*theirs);
+            let options = OpenOptions { selection, max_bytes, cancel, ..OpenOptions::default() };
+            let image = Store::of_web(folder).and_then(|store| Self::in_store(store, &of_thread, &options));
+            // Nobody listens after cancelling.
+            let _ = sender.send(image);
+        };
+        let thread = thread::Builder::new().name("survey".into()).spawn(survey);
+        thread.map_err(io_error(&path))?;
+        loop {
+            match receiver.recv_timeout(CANCEL_TIME) {
+                Ok(image) => return image,
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(malformed(&path, "OME-Zarr")("its metadata cannot be read".into()));
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            if let Err(e) = options.check_cancelled(&path) {
+                is_cancelled.store(true, Ordering::Relaxed);
+                return Err(e);
+            }
+        }
     }
 
     fn in_store(store: Store, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
@@ -117,3 +148,5 @@ impl VolumeFile for ZarrImage {
 
 /// The files that describe arrays and groups.
 const METADATA: [&str; 4] = [".zattrs", ".zgroup", ".zarray", "zarr.json"];
+/// How long it takes at most until a survey ends after cancelling.
+const CANCEL_TIME: Duration = Duration::from_millis(50);

@@ -69,7 +69,8 @@ impl Multiscale {
         let text = |v: Option<&Value>| v.and_then(Value::as_str).map(str::to_owned);
         let version =
             text(attributes.get("version")).or_else(|| text(image.get("version"))).unwrap_or_default();
-        let axes = match image["axes"].as_array() {
+        let system = coordinate_system(image);
+        let axes = match system.unwrap_or(image)["axes"].as_array() {
             Some(list) if list.len() <= 8 => list.iter().map(NamedAxis::of).collect::<Result<Vec<_>, _>>()?,
             Some(list) => return Err(format!("it has {} axes, expected two to five", list.len())),
             // Versions before 0.3 always have five axes.
@@ -88,7 +89,9 @@ impl Multiscale {
         }
         let datasets = image["datasets"].as_array().filter(|l| (1..=MAX_LEVELS).contains(&l.len()));
         let datasets = datasets.ok_or_else(|| format!("it has no datasets, expected 1 to {MAX_LEVELS}"))?;
-        let all = Transform::of(image.get("coordinateTransformations"), axes.len())?;
+        // From version 0.6 on, these lead to other systems.
+        let to_all = image.get("coordinateTransformations").filter(|_| system.is_none());
+        let all = Transform::of(to_all, axes.len())?;
         let all = all.unwrap_or_else(|| Transform::none(axes.len()));
         let mut levels = Vec::new();
         for dataset in datasets {
@@ -263,6 +266,15 @@ impl Multiscale {
     }
 }
 
+/// The system of coordinates into which the levels are transformed; `None` before version 0.6.
+fn coordinate_system(image: &Value) -> Option<&Value> {
+    let systems = image["coordinateSystems"].as_array()?;
+    let output = &image["datasets"][0]["coordinateTransformations"][0]["output"];
+    let name = output["name"].as_str().or(output.as_str());
+    let named = systems.iter().find(|system| name.is_some() && system["name"].as_str() == name);
+    named.or(systems.first())
+}
+
 /// What an `image-label` says about its labels; `None` if there is none.
 fn labels(attributes: &Value) -> Option<Vec<VolumeLabel>> {
     let told = attributes.get("image-label").filter(|told| told.is_object())?;
@@ -338,28 +350,38 @@ impl Transform {
     fn of(value: Option<&Value>, num_axes: usize) -> Result<Option<Self>, String> {
         let mut all = None;
         for step in value.and_then(Value::as_array).into_iter().flatten() {
-            let kind = step["type"].as_str().unwrap_or_default();
-            let numbers = || {
-                let list: Option<Vec<f64>> = step.get(kind)?.as_array()?.iter().map(Value::as_f64).collect();
-                list.filter(|l| l.len() == num_axes)
-            };
-            let mut next = Self::none(num_axes);
-            let field = match kind {
-                "identity" => continue,
-                "scale" => &mut next.scale,
-                "translation" => &mut next.translation,
-                _ => {
-                    return Err(format!(
-                        "a transformation is {}, expected scale or translation",
-                        quoted(kind)
-                    ));
+            // A sequence has no sequences in it.
+            match step["type"].as_str() {
+                Some("sequence") => {
+                    let steps = step["transformations"].as_array().into_iter().flatten();
+                    steps.into_iter().try_for_each(|step| Self::add(&mut all, step, num_axes))?;
                 }
-            };
-            let problem = || format!("{kind} is {}, expected {num_axes} numbers", quoted(&step.to_string()));
-            *field = numbers().ok_or_else(problem)?;
-            all = Some(all.unwrap_or_else(|| Self::none(num_axes)).then(&next));
+                _ => Self::add(&mut all, step, num_axes)?,
+            }
         }
         Ok(all)
+    }
+
+    /// Adds one transformation after the others.
+    fn add(all: &mut Option<Self>, step: &Value, num_axes: usize) -> Result<(), String> {
+        let kind = step["type"].as_str().unwrap_or_default();
+        let numbers = || {
+            let list: Option<Vec<f64>> = step.get(kind)?.as_array()?.iter().map(Value::as_f64).collect();
+            list.filter(|l| l.len() == num_axes)
+        };
+        let mut next = Self::none(num_axes);
+        let field = match kind {
+            "identity" => return Ok(()),
+            "scale" => &mut next.scale,
+            "translation" => &mut next.translation,
+            _ => {
+                return Err(format!("a transformation is {}, expected scale or translation", quoted(kind)));
+            }
+        };
+        let problem = || format!("{kind} is {}, expected {num_axes} numbers", quoted(&step.to_string()));
+        *field = numbers().ok_or_else(problem)?;
+        *all = Some(all.take().unwrap_or_else(|| Self::none(num_axes)).then(&next));
+        Ok(())
     }
 }
 
