@@ -278,7 +278,10 @@ mod tests {
         fails(whole(b"", 1000), "does not answer in time");
         fails(whole(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n", 1000), "in time");
         fails(whole(b"nonsense\r\n\r\n", 1000), "a b");
-        fails(whole(b"HTTP/1.1 500 Oh\r\nConnection: close\r\nContent-Length: 0\r\n\r\n", 1000), "the server answers 500");
+        fails(
+            whole(b"HTTP/1.1 500 Oh\r\nConnection: close\r\nContent-Length: 0\r\n\r\n", 1000),
+            "the server answers 500",
+        );
         assert_eq!(whole(b"HTTP/1.1 404 No\r\nContent-Length: 0\r\n\r\n", 9), Ok(None));
         assert_eq!(whole(b"HTTP/1.1 403 No\r\nContent-Length: 0\r\n\r\n", 9), Ok(None));
     }

@@ -275,10 +275,9 @@ fn what_fails_for_a_moment_is_asked_for_again_and_the_rest_is_an_error() {
     let server = FileServer::start(folder.path());
     let source = format!("{}/an%20image.zarr", server.address);
     let right = numbers(&opened(&source, Selection::default()).unwrap());
-    for faults in [
-        vec![Fault::Status(503), Fault::Status(429), Fault::Cut, Fault::Status(503)],
-        vec![Fault::Cut; 4],
-    ] {
+    for faults in
+        [vec![Fault::Status(503), Fault::Status(429), Fault::Cut, Fault::Status(503)], vec![Fault::Cut; 4]]
+    {
         server.requests();
         server.faults.lock().unwrap().extend(faults);
         assert_eq!(numbers(&opened(&source, Selection::default()).unwrap()), right);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use isinglass_core::volume::Volume;
 use isinglass_formats::{
-    LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, state_from_link,
+    LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, is_address, state_from_link,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, State, Tunnel};
 
