@@ -222,10 +222,11 @@ impl SavedVolume {
         let named = Path::new(source);
         let beside = match named.is_relative() {
             true => Some(folder.join(named)),
-            false if !named.exists() => named.file_name().map(|name| folder.join(name)),
+            false if !source_exists(source) => named.file_name().map(|name| folder.join(name)),
             false => None,
         };
-        let found = beside.filter(|path| !source.starts_with(BUILTIN) && path.exists());
+        let found =
+            beside.filter(|path| !source.starts_with(BUILTIN) && source_exists(&path.to_string_lossy()));
         let found =
             found.and_then(|path| std::path::absolute(path).ok()?.into_os_string().into_string().ok());
         Self { source: found.or(self.source), ..self }
