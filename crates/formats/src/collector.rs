@@ -74,6 +74,11 @@ impl<'a> Collector<'a> {
         self.channel_axis
     }
 
+    /// The channels that are read, and the point in time.
+    pub(crate) fn channels_and_time(&self) -> (std::ops::Range<u32>, u32) {
+        (self.chosen.channels.clone(), self.chosen.time)
+    }
+
     /// The flag that ends the reading.
     pub(crate) fn cancel(&self) -> Option<&'a AtomicBool> {
         self.options.cancel

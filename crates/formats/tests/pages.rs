@@ -270,6 +270,37 @@ fn pages_of_every_level_channel_and_time_of_an_image_are_those_of_the_level() {
 }
 
 #[test]
+fn a_channel_without_any_value_has_empty_pages_and_hides_no_other() {
+    let folder = TempDir::new().unwrap();
+    let dims = [70u64, 67, 66];
+    let scale = |f: f64| (vec![1.0, f, f, f], vec![0.0, (f - 1.0) / 2.0, (f - 1.0) / 2.0, (f - 1.0) / 2.0]);
+    write_image(folder.path(), &["c", "z", "y", "x"], &[scale(1.0), scale(2.0)], "");
+    let write = |is_empty: &dyn Fn(&[u64]) -> bool| {
+        for (level, f) in [(0, 1), (1, 2)] {
+            let shape = [2, dims[2] / f, dims[1] / f, dims[0] / f];
+            let array =
+                ArrayText { shape: &shape, chunk: &[1, 32, 32, 32], dtype: "<f4", packing: Packing::Raw };
+            array.write(&folder.path().join(level.to_string()), |at| {
+                let value = number(at[3] * f, at[2] * f, at[1] * f) as f32;
+                (if is_empty(at) { f32::NAN } else { value }).to_le_bytes().to_vec()
+            });
+        }
+    };
+    write(&|at| at[0] == 1);
+    let paged = check_pages(folder.path(), &OpenOptions::default());
+    let are_hidden: Vec<bool> = paged.base.channels().map(|channel| channel.info.channel.is_hidden).collect();
+    assert_eq!(are_hidden, [false, true]);
+    let index = paged.build_index(None, None).unwrap();
+    assert_eq!((index.stored_range(0), index.stored_range(1)), ((0.0, 250.0), (0.0, 0.0)));
+    // The control: a channel that has some values has gaps.
+    write(&|at| at[0] == 1 && at[3] > 20);
+    let paged = check_pages(folder.path(), &OpenOptions::default());
+    assert!(paged.base.channels().all(|channel| !channel.info.channel.is_hidden));
+    let page = paged.source.read(1, PageId { level: 0, at: [0; 3] }).unwrap();
+    assert!(page.gaps.is_some());
+}
+
+#[test]
 fn what_is_absent_has_its_fill_value_and_what_is_damaged_is_told() {
     let folder = TempDir::new().unwrap();
     image(folder.path(), Packing::Zstd, [1, 1, 32, 32, 32], "|u1");
