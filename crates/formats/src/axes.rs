@@ -125,6 +125,27 @@ impl Grid {
         thin: u32,
         max: u64,
     ) -> Result<Self, String> {
+        let thin = |length: u64| u64::from(thin.max(1)).max(length.div_ceil(max));
+        Self::with_steps(file_dims, geometry, region, max, thin)
+    }
+
+    /// The same with all voxels, also where a side has more than a volume may have in memory.
+    pub(crate) fn whole(
+        file_dims: [u64; 3],
+        geometry: &Geometry,
+        region: Option<&Region>,
+    ) -> Result<Self, String> {
+        Self::with_steps(file_dims, geometry, region, u64::MAX / MAX_THIN, |_| 1)
+    }
+
+    /// The grid with one voxel in `thin` of the length of each axis, for sides of at most `max`.
+    fn with_steps(
+        file_dims: [u64; 3],
+        geometry: &Geometry,
+        region: Option<&Region>,
+        max: u64,
+        thin: impl Fn(u64) -> u64,
+    ) -> Result<Self, String> {
         let steps = geometry.steps;
         if !steps.iter().all(|v| v.length().is_finite() && v.length() > 0.0) {
             let [x, y, z] = steps.map(DVec3::length);
@@ -141,7 +162,7 @@ impl Grid {
                 if region.is_none() && length(axis) > most { "; a region can be taken of it" } else { "" };
             return Err(format!("axis {axis} has {} voxels, expected 1 to {most}{advice}", length(axis)));
         }
-        let thin = [0, 1, 2].map(|axis| u64::from(thin.max(1)).max(length(axis).div_ceil(max)));
+        let thin = [0, 1, 2].map(|axis| thin(length(axis)));
         let axes =
             order.map(|(axis, is_reversed)| steps[axis].normalize() * if is_reversed { -1.0 } else { 1.0 });
         let placement = geometry.origin.map(|origin| {

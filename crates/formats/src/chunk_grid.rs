@@ -26,6 +26,8 @@ pub(crate) struct ChunkGrid<'a> {
     pub(crate) channel: usize,
     /// Axes that the plan has and the array has not.
     pub(crate) num_more_axes: usize,
+    /// Whether the bytes of numbers are wanted as they are, as a first axis.
+    pub(crate) is_raw: bool,
 }
 
 impl ChunkGrid<'_> {
@@ -94,15 +96,16 @@ impl ChunkGrid<'_> {
                 part[axis] = channel..channel + 1;
             }
             let numbers = self.gather(bytes, start, &part, &strides);
-            let count = numbers.len() / self.dtype.num_bytes();
-            let sink = VoxelSink::new(self.dtype, self.endian, count);
+            let size = self.dtype.num_bytes();
+            let (dtype, bytes_each) = if self.is_raw { (Dtype::Uint8, 1) } else { (self.dtype, size) };
+            let sink = VoxelSink::new(dtype, self.endian, numbers.len() / bytes_each);
             let mut sink = sink.map_err(|_| io_error(path)(std::io::ErrorKind::OutOfMemory.into()))?;
             sink.push_bytes(&numbers);
             if let Some(axis) = self.channel_axis {
                 part[axis] = 0..1;
             }
-            let mut ranges: Vec<Range<usize>> =
-                part.iter().rev().map(|r| r.start as usize..r.end as usize).collect();
+            let mut ranges: Vec<Range<usize>> = self.is_raw.then_some(0..size).into_iter().collect();
+            ranges.extend(part.iter().rev().map(|r| r.start as usize..r.end as usize));
             ranges.extend(std::iter::repeat_n(0..1, self.num_more_axes));
             pieces.push(Piece { channel: self.channel + channel as usize, ranges, sink });
         }

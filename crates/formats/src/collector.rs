@@ -4,6 +4,8 @@ use std::io::{self, BufRead};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use isinglass_core::volume::Voxels;
+
 use crate::channels::{ChannelSinks, Piece, StreamShape};
 use crate::decode::{Decoded, next_number};
 use crate::dtype::Dtype;
@@ -13,6 +15,15 @@ use crate::plan::{Chosen, Plan, Role};
 use crate::source::OpenOptions;
 use crate::stream::Stream;
 use crate::warning::{Warning, WarningKind};
+
+/// Takes the bytes of the selected numbers in the order of the file.
+pub(crate) trait NumberSink {
+    /// The bytes of the next numbers, all of them whole.
+    fn push(&mut self, bytes: &[u8]) -> Result<(), FormatError>;
+
+    /// The fraction that is done, 0 to 1.
+    fn progress(&self) -> f32;
+}
 
 /// Collects the selected voxels. Memory is allocated with the first voxel, so readers can check lengths before.
 pub(crate) struct Collector<'a> {
@@ -26,6 +37,10 @@ pub(crate) struct Collector<'a> {
     hyperslab: Hyperslab,
     channel_axis: Option<usize>,
     sinks: Option<ChannelSinks>,
+    /// Takes the numbers as they come, in place of the sinks.
+    stream: Option<&'a mut (dyn NumberSink + 'a)>,
+    /// Whether the sinks take the bytes of numbers as they are.
+    is_raw: bool,
     has_gaps: bool,
     warnings: Vec<Warning>,
 }
@@ -45,9 +60,36 @@ impl<'a> Collector<'a> {
             hyperslab: Hyperslab::new(&axes),
             channel_axis: plan.axes.iter().position(|a| a.role == Role::Channel),
             sinks: None,
+            stream: None,
+            is_raw: false,
             has_gaps: plan.has_gaps,
             warnings: Vec::new(),
         }
+    }
+
+    /// Collects the bytes of each number as they are in the file, for [`Collector::finish_raw`]. The file places boxes.
+    pub(crate) fn raw(plan: &Plan, chosen: &'a Chosen, path: &'a Path, options: &'a OpenOptions<'a>) -> Self {
+        Self { is_raw: true, ..Self::new(plan, chosen, path, options) }
+    }
+
+    /// Passes the selected numbers after the first `num_done` to `stream`, for [`Collector::finish_stream`]. The file
+    /// does not place boxes.
+    pub(crate) fn streaming(
+        plan: &Plan,
+        chosen: &'a Chosen,
+        path: &'a Path,
+        options: &'a OpenOptions<'a>,
+        num_done: u64,
+        stream: &'a mut (dyn NumberSink + 'a),
+    ) -> Self {
+        let mut collector = Self { stream: Some(stream), ..Self::new(plan, chosen, path, options) };
+        collector.hyperslab.leave_out(num_done);
+        collector
+    }
+
+    /// Whether the boxes that are placed have the bytes of numbers, as a first axis of them.
+    pub(crate) fn is_raw(&self) -> bool {
+        self.is_raw
     }
 
     /// Numbers in the whole file.
@@ -72,11 +114,6 @@ impl<'a> Collector<'a> {
     /// The axis of the plan that has the channels, if there is one.
     pub(crate) fn channel_axis(&self) -> Option<usize> {
         self.channel_axis
-    }
-
-    /// The channels that are read, and the point in time.
-    pub(crate) fn channels_and_time(&self) -> (std::ops::Range<u32>, u32) {
-        (self.chosen.channels.clone(), self.chosen.time)
     }
 
     /// The flag that ends the reading.
@@ -106,9 +143,19 @@ impl<'a> Collector<'a> {
 
     /// Collects the selected numbers in `bytes`, which contain whole numbers.
     pub(crate) fn push(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
-        self.sinks(None)?;
         let size = self.dtype.num_bytes();
         let count = (bytes.len() / size) as u64;
+        if let Some(stream) = &mut self.stream {
+            let mut pushed = Ok(());
+            self.hyperslab.take(count, |range, _| {
+                if pushed.is_ok() {
+                    pushed = stream.push(&bytes[range.start * size..range.end * size]);
+                }
+            });
+            pushed?;
+            return self.tick();
+        }
+        self.sinks(None)?;
         if let Some(sinks) = &mut self.sinks {
             let take = |range: std::ops::Range<usize>, step| {
                 sinks.push(&bytes[range.start * size..range.end * size], step);
@@ -125,7 +172,8 @@ impl<'a> Collector<'a> {
 
     /// Puts boxes of voxels in their places, after [`Collector::fill`]. Counts `num_passed` selected numbers.
     pub(crate) fn place(&mut self, pieces: Vec<Piece>, num_passed: u64) -> Result<(), FormatError> {
-        self.sinks(None)?.place(pieces, num_passed);
+        let bytes_each = if self.is_raw { self.bytes_per_number() } else { 1 };
+        self.sinks(None)?.place(pieces, num_passed * bytes_each);
         self.tick()
     }
 
@@ -133,7 +181,17 @@ impl<'a> Collector<'a> {
     fn push_number(&mut self, path: &Path, number: Result<f64, String>) -> Result<(), FormatError> {
         let (index, name) = (self.hyperslab.position(), self.dtype.name());
         let mut is_good = number.is_ok();
-        self.sinks(None)?;
+        let encoded = number.as_ref().ok().and_then(|x| self.dtype.bytes_of(*x, self.endian));
+        if let Some(stream) = &mut self.stream {
+            let mut pushed = Ok(());
+            self.hyperslab.take(1, |_, _| match &encoded {
+                Some(bytes) => pushed = stream.push(bytes),
+                None => is_good = false,
+            });
+            pushed?;
+        } else {
+            self.sinks(None)?;
+        }
         if let (Some(sinks), Ok(x)) = (&mut self.sinks, &number) {
             self.hyperslab.take(1, |_, _| is_good = sinks.push_number(*x));
         }
@@ -207,7 +265,10 @@ impl<'a> Collector<'a> {
     /// Reports progress and checks for cancelling.
     pub(crate) fn tick(&self) -> Result<(), FormatError> {
         if let Some(progress) = self.options.progress {
-            progress(self.sinks.as_ref().map_or(0.0, ChannelSinks::progress));
+            progress(match &self.stream {
+                Some(stream) => stream.progress(),
+                None => self.sinks.as_ref().map_or(0.0, ChannelSinks::progress),
+            });
         }
         self.options.check_cancelled(self.path)
     }
@@ -238,7 +299,7 @@ impl<'a> Collector<'a> {
     /// The sinks, which are created with the first voxel.
     fn sinks(&mut self, fill: Option<&[u8]>) -> Result<&mut ChannelSinks, FormatError> {
         if self.sinks.is_none() {
-            let shape = StreamShape {
+            let mut shape = StreamShape {
                 dtype: self.dtype,
                 endian: self.endian,
                 selected: &self.chosen.selected,
@@ -246,10 +307,36 @@ impl<'a> Collector<'a> {
                 num_channels: self.chosen.channels.len(),
                 num_voxels: self.chosen.num_voxels as usize,
             };
+            let of_bytes = [&[Steps::all(0..self.bytes_per_number())], shape.selected].concat();
+            if self.is_raw {
+                shape.dtype = Dtype::Uint8;
+                shape.selected = &of_bytes;
+                shape.channel_axis = shape.channel_axis.map(|axis| axis + 1);
+                shape.num_voxels *= self.dtype.num_bytes();
+            }
             let sinks = ChannelSinks::new(&shape, fill);
             self.sinks = Some(sinks.map_err(|_| io_error(self.path)(io::ErrorKind::OutOfMemory.into()))?);
         }
         Ok(self.sinks.as_mut().expect("they were made above"))
+    }
+
+    /// The bytes of the numbers of each channel, after [`Collector::raw`], and the warnings of the reader.
+    pub(crate) fn finish_raw(mut self) -> Result<(Vec<Vec<u8>>, Vec<Warning>), FormatError> {
+        self.sinks(None)?;
+        let decoded = self.sinks.take().map_or(Vec::new(), |sinks| sinks.finish(false));
+        let bytes = decoded.into_iter().map(|decoded| match decoded.voxels {
+            Voxels::U8(bytes) => bytes,
+            Voxels::U16(_) | Voxels::F32(_) => Vec::new(),
+        });
+        Ok((bytes.collect(), self.warnings))
+    }
+
+    /// Checks that all numbers have passed, after [`Collector::streaming`]. Returns the warnings of the reader.
+    pub(crate) fn finish_stream(self) -> Result<Vec<Warning>, FormatError> {
+        if self.is_done() {
+            return Ok(self.warnings);
+        }
+        Err(self.short(self.path, self.num_elements(), self.position(), "numbers"))
     }
 
     /// The voxels of each channel, the first with the warnings of the reader.

@@ -74,6 +74,10 @@ impl VoxelSink {
         one.push_bytes(number);
         drop(room);
         let voxels = match one.voxels {
+            // A number of several bytes is there as its bytes.
+            Voxels::U8(v) if v.len() > 1 && v.iter().any(|byte| *byte != v[0]) => {
+                Voxels::U8(v.iter().copied().cycle().take(num_voxels).collect())
+            }
             Voxels::U8(v) => Voxels::U8(vec![v.first().copied().unwrap_or(0); num_voxels]),
             Voxels::U16(v) => Voxels::U16(vec![v.first().copied().unwrap_or(0); num_voxels]),
             Voxels::F32(v) => Voxels::F32(vec![v.first().copied().unwrap_or(0.0); num_voxels]),
@@ -228,13 +232,13 @@ impl VoxelSink {
 }
 
 /// The number in single precision. One that is too large becomes the largest float, because it may be a marker.
-fn single(number: f64) -> f32 {
+pub(crate) fn single(number: f64) -> f32 {
     let single = number as f32;
     if single.is_infinite() && number.is_finite() { f32::MAX.copysign(single) } else { single }
 }
 
 /// The value that stands for no matter: zero in a map with signs, air in CT, else the one next to zero.
-fn near_zero(least: f32, greatest: f32) -> f32 {
+pub(crate) fn near_zero(least: f32, greatest: f32) -> f32 {
     if least <= greatest && !may_be_hounsfield(least, greatest) {
         0.0_f32.clamp(least, greatest)
     } else {
@@ -245,24 +249,7 @@ fn near_zero(least: f32, greatest: f32) -> f32 {
 /// Replaces the marker for a missing value by [`near_zero`] of the others. Returns the marker and a warning if there is
 /// one.
 fn fill_gaps(v: &mut [f32], gaps: &mut Option<Vec<u8>>) -> Option<(f32, Warning)> {
-    // The two least and the two greatest different numbers.
-    let none = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
-    let [least, second, last, greatest] = v.iter().fold(none, |[a, b, c, d], &x| {
-        let (b, c) = (if x > a { b.min(x) } else { b }, if x < d { c.max(x) } else { c });
-        [a.min(x), if x < a { a.min(b) } else { b }, if x > d { c.max(d) } else { c }, d.max(x)]
-    });
-    let is_far = |mark: f32, lo: f32, hi: f32| {
-        let [mark, lo, hi] = [mark, lo, hi].map(f64::from);
-        hi > lo && (lo - mark).max(mark - hi) > FAR * (hi - lo)
-    };
-    let is_mark = |x: f32| x.is_finite() && (x.abs() >= MARK_LEAST || MARKS.contains(&x));
-    let (mark, gap) = if is_mark(least) && is_far(least, second, greatest) {
-        (least, near_zero(second, greatest))
-    } else if is_mark(greatest) && is_far(greatest, least, last) {
-        (greatest, near_zero(least, last))
-    } else {
-        return None;
-    };
+    let (mark, gap) = v.iter().fold(Extremes::NONE, |extremes, x| extremes.with(*x)).mark()?;
     let mut num = 0u64;
     let gaps = gaps.get_or_insert_with(|| vec![0; v.len()]);
     for (x, byte) in v.iter_mut().zip(gaps).filter(|(x, _)| **x == mark) {
@@ -271,6 +258,49 @@ fn fill_gaps(v: &mut [f32], gaps: &mut Option<Vec<u8>>) -> Option<(f32, Warning)
     }
     let text = format!("{num} voxels are {mark:?}, as if nothing was known there; nothing is shown");
     Some((mark, Warning::new(WarningKind::Values, text)))
+}
+
+/// The two least and the two greatest different numbers of many, in ascending order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Extremes(pub(crate) [f32; 4]);
+
+impl Extremes {
+    /// Of no numbers.
+    pub(crate) const NONE: Self = Self([f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY]);
+
+    /// With one number more.
+    pub(crate) fn with(self, x: f32) -> Self {
+        let [a, b, c, d] = self.0;
+        let (b, c) = (if x > a { b.min(x) } else { b }, if x < d { c.max(x) } else { c });
+        Self([a.min(x), if x < a { a.min(b) } else { b }, if x > d { c.max(d) } else { c }, d.max(x)])
+    }
+
+    /// Of the finite numbers of both.
+    pub(crate) fn and(self, other: Self) -> Self {
+        other.0.into_iter().filter(|x| x.is_finite()).fold(self, Self::with)
+    }
+
+    /// The least and the greatest.
+    pub(crate) fn range(self) -> (f32, f32) {
+        (self.0[0], self.0[3])
+    }
+
+    /// The marker for a missing value, and the number that stands for it: [`near_zero`] of the others.
+    pub(crate) fn mark(self) -> Option<(f32, f32)> {
+        let [least, second, last, greatest] = self.0;
+        let is_far = |mark: f32, lo: f32, hi: f32| {
+            let [mark, lo, hi] = [mark, lo, hi].map(f64::from);
+            hi > lo && (lo - mark).max(mark - hi) > FAR * (hi - lo)
+        };
+        let is_mark = |x: f32| x.is_finite() && (x.abs() >= MARK_LEAST || MARKS.contains(&x));
+        if is_mark(least) && is_far(least, second, greatest) {
+            Some((least, near_zero(second, greatest)))
+        } else if is_mark(greatest) && is_far(greatest, least, last) {
+            Some((greatest, near_zero(least, last)))
+        } else {
+            None
+        }
+    }
 }
 
 /// A float of at least this magnitude may be a marker. NetCDF uses 9.97e36, climate models 1e20, others the largest

@@ -114,6 +114,32 @@ impl Dtype {
         })
     }
 
+    /// The bytes of a number; `None` if the type is one of integers that do not have it.
+    pub(crate) fn bytes_of(self, number: f64, endian: Endian) -> Option<Vec<u8>> {
+        if let Some((lo, hi)) = self.integer_range()
+            && !(number.fract() == 0.0 && number >= lo && number <= hi)
+        {
+            return None;
+        }
+        let mut bytes = match self {
+            Self::Int8 => (number as i8).to_le_bytes().to_vec(),
+            Self::Uint8 => (number as u8).to_le_bytes().to_vec(),
+            Self::Int16 => (number as i16).to_le_bytes().to_vec(),
+            Self::Uint16 => (number as u16).to_le_bytes().to_vec(),
+            Self::Int32 => (number as i32).to_le_bytes().to_vec(),
+            Self::Uint32 => (number as u32).to_le_bytes().to_vec(),
+            Self::Int64 => (number as i64).to_le_bytes().to_vec(),
+            Self::Uint64 => (number as u64).to_le_bytes().to_vec(),
+            Self::Half => half::f16::from_f64(number).to_le_bytes().to_vec(),
+            Self::Float => (number as f32).to_le_bytes().to_vec(),
+            Self::Double => number.to_le_bytes().to_vec(),
+        };
+        if endian == Endian::Big {
+            bytes.reverse();
+        }
+        Some(bytes)
+    }
+
     /// The names that [`Dtype::from_str`] accepts, for messages.
     pub const EXPECTED: &'static str =
         "int8, uint8, int16, uint16, int32, uint32, int64, uint64, float16, float or double";

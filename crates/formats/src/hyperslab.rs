@@ -98,6 +98,19 @@ impl Hyperslab {
         self.position
     }
 
+    /// Takes the first `count` selected numbers off the selection, which has steps of 1.
+    pub(crate) fn leave_out(&mut self, mut count: u64) {
+        while let Some(run) = &mut self.run {
+            let length = run.end - run.start;
+            if count < length {
+                run.start += count;
+                return;
+            }
+            count -= length;
+            self.run = self.next_run();
+        }
+    }
+
     /// Skips `count` numbers, at most [`Hyperslab::gap`].
     pub(crate) fn pass(&mut self, count: u64) {
         debug_assert!(self.is_done() || count <= self.gap());
@@ -187,6 +200,23 @@ mod tests {
             }
             assert_eq!(found, expected, "{axes:?}");
             assert_eq!(expected.len() as u64, axes.iter().map(|a| a.1.len()).product::<u64>());
+        }
+    }
+
+    #[test]
+    fn what_is_left_out_is_the_start_of_the_selection() {
+        let axes = [(3, Steps::all(0..3)), (4, Steps::all(1..3)), (2, Steps::all(0..2))];
+        let taken = |count| {
+            let mut hyperslab = Hyperslab::new(&axes);
+            hyperslab.leave_out(count);
+            let mut found = Vec::new();
+            hyperslab.take(24, |range, _| found.extend(range));
+            found
+        };
+        let all = taken(0);
+        assert_eq!(all.len(), 12);
+        for count in 0..=12 {
+            assert_eq!(taken(count), all[count as usize..]);
         }
     }
 

@@ -4,6 +4,7 @@
 //!   header and returns what [`open`] would need. [`Loading`] opens a volume on its own thread.
 //! - [`load_transfer`] reads a preset or a file with a transfer function.
 //! - [`SavedState`] is a saved view of a volume, as a file or in a link.
+//! - [`Conversion`] makes a pyramid in OME-Zarr of whatever opens.
 //! - [`VolumeFacts`] is what `isinglass info` prints.
 //! - [`write_whole`] writes a file as a whole or not at all.
 //!
@@ -13,11 +14,13 @@
 
 mod alike;
 mod axes;
+mod builtin;
 mod channel_looks;
 mod channels;
 mod chunk_grid;
 mod collector;
 mod content;
+mod convert;
 mod decode;
 mod dicom;
 mod dtype;
@@ -81,6 +84,7 @@ mod zip;
 
 pub use channel_looks::default_channels;
 pub use content::{Content, content_of};
+pub use convert::{Conversion, Converted};
 pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};
 pub use facts::{PERCENTILES, VolumeFacts};

@@ -102,8 +102,8 @@ pub(crate) fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-const PREFIX: &str = ".isinglass-";
-const SUFFIX: &str = ".part";
+pub(crate) const PREFIX: &str = ".isinglass-";
+pub(crate) const SUFFIX: &str = ".part";
 /// By this age, the writer has locked its file.
 const LOCKED_AFTER: Duration = Duration::from_secs(3);
 

@@ -15,6 +15,15 @@ pub(crate) struct Missing {
     pub(crate) what: &'static str,
 }
 
+impl Missing {
+    /// Whether one number cannot tell all.
+    pub(crate) fn are_several(&self) -> bool {
+        let mut finite = self.values.iter().filter(|value| value.is_finite());
+        let first = finite.next();
+        self.valid.is_some() || finite.any(|value| Some(value) != first)
+    }
+}
+
 impl Default for Missing {
     fn default() -> Self {
         Self { values: Vec::new(), valid: None, what: "outside of the scanned part" }
@@ -101,17 +110,22 @@ fn is_apart(volume: &Volume, number: f32, scale: f64) -> bool {
         Voxels::U16(v) => v.par_iter().map(|x| count(f32::from(*x))).reduce(|| (0, 0), both),
         Voxels::F32(v) => v.par_iter().map(|x| count(*x)).reduce(|| (0, 0), both),
     };
-    equal * FEWEST > volume.voxels().len() as u64 && beside * MOST_BESIDE < equal
+    are_padding(equal, beside, volume.voxels().len() as u64)
+}
+
+/// Whether `equal` of so many voxels are padding, if `beside` others have a value within [`NEAR`] of it.
+pub(crate) fn are_padding(equal: u64, beside: u64, num_voxels: u64) -> bool {
+    equal * FEWEST > num_voxels && beside * MOST_BESIDE < equal
 }
 
 /// What scanners write outside of their circle, in Hounsfield units.
-const OF_CT: [f32; 5] = [-3024.0, -3000.0, -2048.0, -2000.0, -1024.0];
+pub(crate) const OF_CT: [f32; 5] = [-3024.0, -3000.0, -2048.0, -2000.0, -1024.0];
 /// At least one voxel in so many is padding.
 const FEWEST: u64 = 100;
 /// At most one voxel for so many has a value near the padding's.
 const MOST_BESIDE: u64 = 20;
 /// Values near the padding's, in its unit.
-const NEAR: f32 = 3.0;
+pub(crate) const NEAR: f32 = 3.0;
 
 #[cfg(test)]
 mod tests {

@@ -178,11 +178,13 @@ impl Plan {
         self.axes.iter().find(|a| a.role == role).map_or(1, |a| a.size)
     }
 
-    fn channels(&self) -> u64 {
+    /// How many channels the file has.
+    pub(crate) fn channels(&self) -> u64 {
         self.size(Role::Channel).max(self.num_channels)
     }
 
-    fn times(&self) -> u64 {
+    /// How many points in time it has.
+    pub(crate) fn times(&self) -> u64 {
         self.size(Role::Time).max(self.num_times)
     }
 
@@ -202,6 +204,59 @@ impl Plan {
         count.checked_mul(self.dtype.num_bytes() as u64).map(|_| count)
     }
 
+    /// Numbers in the file, voxels along its axes, and where these lie as the options want it.
+    fn shape(&self, options: &OpenOptions) -> Result<(u64, [u64; 3], Geometry), String> {
+        let file_dims = [0, 1, 2].map(|i| self.size(Role::Space(i)));
+        let in_file = self.num_elements().filter(|&n| n > 0).ok_or_else(|| {
+            let sizes: Vec<String> = self.axes.iter().map(|a| a.size.to_string()).collect();
+            format!("sizes {} are zero or too large", sizes.join(" "))
+        })?;
+        let geometry = match options.spacing {
+            Some(spacing) => self.geometry.with_spacing(spacing)?,
+            None => self.geometry.clone(),
+        };
+        Ok((in_file, file_dims, geometry.flipped(options.selection.flip.0, file_dims)?))
+    }
+
+    /// Distances between voxels along the axes of the file, as the options want them.
+    pub(crate) fn spacing_of(&self, options: &OpenOptions) -> Result<[f64; 3], String> {
+        Ok(self.shape(options)?.2.steps.map(|step| step.length()))
+    }
+
+    /// All voxels, channels and times, or those that the options select. No limit of memory counts.
+    pub(crate) fn choose_all(&self, path: &Path, options: &OpenOptions) -> Result<Chosen, FormatError> {
+        let bad = malformed(path, &self.format);
+        let selection = options.selection;
+        let (in_file, file_dims, geometry) = self.shape(options).map_err(bad)?;
+        let grid = Grid::whole(file_dims, &geometry, selection.region.as_ref()).map_err(bad)?;
+        let entries = |what: &'static str, found: u64, asked: Option<u32>| match asked.map(u64::from) {
+            Some(index) if index >= found => {
+                Err(FormatError::Selection { path: shown(path), what, asked: index, found })
+            }
+            Some(index) => Ok(index..index + 1),
+            None => Ok(0..found),
+        };
+        let channels = entries("channel", self.channels(), selection.channel)?;
+        let times = entries("time", self.times(), selection.time)?;
+        let selected = self.axes.iter().map(|axis| {
+            Steps::all(match axis.role {
+                Role::Space(i) => grid.ranges[i].clone(),
+                Role::Channel => channels.clone(),
+                Role::Time => times.clone(),
+                Role::Picked(i) => i..i + 1,
+                Role::Single => 0..axis.size,
+            })
+        });
+        let selected: Vec<Steps> = selected.collect();
+        let num_voxels = selected.iter().map(Steps::len).product();
+        let memory = Memory { num_voxels, dtype: self.dtype, is_permuted: false };
+        let warnings = [&self.warnings[..], &grid.warnings[..]].concat();
+        let channels = channels.start as u32..channels.end as u32;
+        let time = times.start as u32;
+        let in_finest = None;
+        Ok(Chosen { memory, grid, in_finest, channels, time, selected, num_voxels, in_file, warnings })
+    }
+
     /// The part that the options select.
     pub(crate) fn choose(&self, path: &Path, options: &OpenOptions) -> Result<Chosen, FormatError> {
         self.choose_within(path, options, u64::from(Volume::MAX_SIDE))
@@ -216,16 +271,7 @@ impl Plan {
     ) -> Result<Chosen, FormatError> {
         let bad = malformed(path, &self.format);
         let selection = options.selection;
-        let file_dims = [0, 1, 2].map(|i| self.size(Role::Space(i)));
-        let in_file = self.num_elements().filter(|&n| n > 0).ok_or_else(|| {
-            let sizes: Vec<String> = self.axes.iter().map(|a| a.size.to_string()).collect();
-            bad(format!("sizes {} are zero or too large", sizes.join(" ")))
-        })?;
-        let geometry = match options.spacing {
-            Some(spacing) => self.geometry.with_spacing(spacing).map_err(bad)?,
-            None => self.geometry.clone(),
-        };
-        let geometry = geometry.flipped(selection.flip.0, file_dims).map_err(bad)?;
+        let (in_file, file_dims, geometry) = self.shape(options).map_err(bad)?;
         let thin = options.reading.thin.unwrap_or(1);
         let grid = Grid::arrange(file_dims, &geometry, selection.region.as_ref(), thin, max_side);
         let mut grid = grid.map_err(bad)?;
@@ -415,6 +461,12 @@ pub(crate) struct ChannelLook {
 /// A file whose header was read.
 pub(crate) trait VolumeFile {
     fn plan(&self) -> &Plan;
+
+    /// Whether the file consists of chunks, whose numbers [`VolumeFile::read`] places in any order. A part is then read
+    /// at no cost of the rest.
+    fn is_chunked(&self) -> bool {
+        false
+    }
 
     /// Passes the selected voxels to `collector`, in the order of the file.
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError>;

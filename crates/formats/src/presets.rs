@@ -218,7 +218,8 @@ impl Statistics {
         roughness.sort_unstable_by(f32::total_cmp);
         Self {
             tail: (hi - lo) / range,
-            air: 1.0 - foreground / volume.voxels().len() as f32,
+            // The histogram may be that of a finer level.
+            air: 1.0 - foreground / histogram.counts.iter().sum::<u64>().max(1) as f32,
             dense: dense / foreground,
             roughness_median: roughness.get(roughness.len() / 2).copied().unwrap_or(0.0),
             roughness_mean: roughness.iter().sum::<f32>() / roughness.len().max(1) as f32,

@@ -7,16 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::Vec3;
 use isinglass_core::volume::Volume;
-use isinglass_core::volume::procedural::Builtin;
 
-use crate::axes::Geometry;
-use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, quoted, shown};
+use crate::builtin::BuiltinFile;
+use crate::error::{FormatError, io_error, shown};
 use crate::foreign::HomeFolder;
 use crate::outline::Outline;
 use crate::overlay::{bytes_of_labels, with_labels};
 use crate::paged::{open_paged, page_count};
-use crate::plan::{Axis, Plan, VolumeFile};
+use crate::plan::VolumeFile;
 use crate::raw::RawShape;
 use crate::read_volume::read_volume;
 use crate::reading::Reading;
@@ -165,18 +163,20 @@ fn for_pages<'a>(options: &OpenOptions<'a>) -> OpenOptions<'a> {
 }
 
 fn outline_of(source: &str, options: &OpenOptions) -> Result<Outline, FormatError> {
-    let path = Path::new(source);
-    if let Some(name) = source.strip_prefix("builtin:") {
-        let (_, side) = builtin(name)?;
-        let axes = Axis::in_space([u64::from(side); 3]);
-        let spacing = [2.0 / f64::from(side); 3];
-        let geometry = Geometry::along_axes(spacing, None);
-        let plan = Plan::new("built-in volume", Dtype::Uint8, Endian::Little, axes, geometry);
-        return Ok(plan.outline(path, &plan.choose(path, options)?, options));
-    }
-    let (path, file) = open_source(source, options)?;
+    let (path, file) = open_any(source, options)?;
     let chosen = file.plan().choose(&path, options)?;
     Ok(file.plan().outline(&path, &chosen, options))
+}
+
+/// Reads the header of any source, a built-in one too. Returns its path, too.
+pub(crate) fn open_any(
+    source: &str,
+    options: &OpenOptions,
+) -> Result<(PathBuf, Box<dyn VolumeFile>), FormatError> {
+    match source.strip_prefix("builtin:") {
+        Some(name) => Ok((PathBuf::from(source), Box::new(BuiltinFile::named(name)?))),
+        None => open_source(source, options),
+    }
 }
 
 /// Reads the header of a file, a folder or an image at an address. Returns its path, too.
@@ -198,25 +198,9 @@ pub(crate) fn open_source(
 }
 
 fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
-    let (builtin, side) = builtin(name)?;
+    let BuiltinFile { builtin, side, .. } = BuiltinFile::named(name)?;
     options.check_memory(Path::new(&format!("builtin:{name}")), u64::from(side).pow(3))?;
     Ok(builtin.volume(side))
-}
-
-/// A built-in volume and the number of voxels along its side.
-fn builtin(name: &str) -> Result<(Builtin, u32), FormatError> {
-    let (kind, side) = name.split_once('@').map_or((name, None), |(kind, side)| (kind, Some(side)));
-    let side = match side {
-        Some(text) => text.parse().ok().filter(|n| (MIN_SIDE..=Volume::MAX_SIDE).contains(n)),
-        None => Some(Builtin::DEFAULT_SIDE),
-    };
-    let (Some(builtin), Some(side)) = (Builtin::from_name(kind), side) else {
-        let names = Builtin::ALL.map(|b| format!("builtin:{}", b.name())).join(", ");
-        let expected =
-            format!("{names}, or with @N for N = {MIN_SIDE} to {} voxels a side", Volume::MAX_SIDE);
-        return Err(FormatError::Builtin { found: quoted(name), expected });
-    };
-    Ok((builtin, side))
 }
 
 /// Whether `source` is a built-in volume, an address of the web, or names a file or folder that exists, or an array in
@@ -451,5 +435,3 @@ const MAX_FILES: usize = 1 << 17;
 const MAX_FOLDERS: usize = 4096;
 /// Greatest depth of a folder.
 const MAX_DEPTH: usize = 8;
-/// Fewest voxels along the side of a built-in volume.
-const MIN_SIDE: u32 = 8;

@@ -1,6 +1,7 @@
 //! Pictures of volumes that are read by pages: each waits until all pages of its view are there.
 
 use anyhow::{Result, bail};
+use isinglass_bench::progress::note;
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::session::admission::ViewerId;
@@ -17,9 +18,9 @@ impl Pages {
         Ok(Self(Pager::of(scene.whole())?))
     }
 
-    /// Shows a camera the finest pages that fit into memory. Returns whether the picture is that of the finest level.
-    pub(crate) fn show(&self, renderer: &mut Renderer, camera: &Camera) -> Result<bool> {
-        let Some(pager) = &self.0 else { return Ok(true) };
+    /// Shows a camera the finest pages that fit into memory. A note says what is not of the finest level.
+    pub(crate) fn show(&self, renderer: &mut Renderer, camera: &Camera) -> Result<()> {
+        let Some(pager) = &self.0 else { return Ok(()) };
         let scene = renderer.scene();
         let view = PageView { camera: *camera, region: scene.region(), rests: true };
         let pages = pager.settled(ViewerId(0), &view, scene, &|| true);
@@ -28,6 +29,15 @@ impl Pages {
             bail!("none of the {} parts that the view needs can be read", progress.num_wanted);
         }
         renderer.set_scene(scene.with_pages(pages.set, None))?;
-        Ok(progress.is_exact())
+        if progress.coarse_share > 0.0 {
+            let percent = (progress.coarse_share * 100.0).ceil();
+            note(&format!(
+                "note: {percent} % of the view is coarser than the file; --max-memory allows more"
+            ));
+        }
+        if progress.num_damaged > 0 {
+            note(&format!("note: {} parts of the file cannot be read", progress.num_damaged));
+        }
+        Ok(())
     }
 }

@@ -411,3 +411,17 @@ fn what_is_odd_is_said_beside_the_result() {
     bench.write("b.nhdr", header.replace("a.raw", "b.raw"));
     assert!(told("b.nhdr").contains("note: 9 voxels are -9999.0"), "{}", told("b.nhdr"));
 }
+
+#[test]
+fn an_index_is_kept_in_the_users_cache_and_info_tells_of_pages() {
+    let bench = Bench::new();
+    bench.write("a.raw", (0..100 * 70 * 66).map(|i| (i % 251) as u8).collect::<Vec<_>>());
+    let volume = "a.raw --dims 100,70,66 --dtype uint8";
+    let text = bench.ok(&format!("info {volume}"));
+    assert!(text.contains("  by pages     8 of 64 × 64 × 64 in the finest of 1 level\n"), "{text}");
+    assert!(!bench.ok("info builtin:cloud@8").contains("by pages"), "control");
+    let text = bench.ok(&format!("index {volume}"));
+    assert!(text.starts_with("8 pages in ") && text.contains("channel 0    0 to 250"), "{text}");
+    assert_eq!(files_in(&bench.path("cache/isinglass/pages")).len(), 1);
+    bench.fails("index builtin:cloud", 1, &["a built-in volume", "a file to read by pages"]);
+}

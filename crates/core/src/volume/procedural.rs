@@ -3,6 +3,8 @@
 //! All are 8-bit with sides of two world units. A formula of the voxel's position gives each value, so every machine
 //! makes the same ones. The side in voxels can be chosen.
 
+use std::ops::Range;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -41,12 +43,26 @@ impl Builtin {
     pub fn volume(self, n: u32) -> Volume {
         let n = n.clamp(8, Volume::MAX_SIDE);
         let spacing = 2.0 / n as f32;
+        let voxels = self.planes(n, 0..n);
+        let info = VolumeInfo {
+            name: format!("builtin:{}", self.name()),
+            dtype: "uint8".into(),
+            ..Default::default()
+        };
+        Volume::new([n; 3], Vec3::splat(spacing), Voxels::U8(voxels), (1.0, 0.0), info)
+            .expect("the sides are bounded and the count is their product")
+    }
+
+    /// The voxels in planes `z` of the volume with `n` along each side, x fastest.
+    pub fn planes(self, n: u32, z: Range<u32>) -> Vec<u8> {
+        let spacing = 2.0 / n as f32;
         let at = |i: usize| (i as f32 + 0.5) * spacing - 1.0;
         let side = n as usize;
-        let mut voxels = vec![0u8; side * side * side];
-        voxels.par_chunks_mut(side * side).enumerate().for_each(|(z, slice)| {
+        let first = z.start as usize;
+        let mut voxels = vec![0u8; side * side * z.len()];
+        voxels.par_chunks_mut(side * side).enumerate().for_each(|(plane, slice)| {
             for (i, voxel) in slice.iter_mut().enumerate() {
-                let p = Vec3::new(at(i % side), at(i / side), at(z));
+                let p = Vec3::new(at(i % side), at(i / side), at(first + plane));
                 let value = match self {
                     Self::Cloud => cloud(p),
                     Self::Cubus => cubus(p, spacing),
@@ -55,13 +71,7 @@ impl Builtin {
                 *voxel = (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
             }
         });
-        let info = VolumeInfo {
-            name: format!("builtin:{}", self.name()),
-            dtype: "uint8".into(),
-            ..Default::default()
-        };
-        Volume::new([n; 3], Vec3::splat(spacing), Voxels::U8(voxels), (1.0, 0.0), info)
-            .expect("the sides are bounded and the count is their product")
+        voxels
     }
 
     /// Default number of voxels along each side.

@@ -188,6 +188,10 @@ impl VolumeFile for Hdf5File {
         Ok(())
     }
 
+    fn is_chunked(&self) -> bool {
+        true
+    }
+
     fn finest_level(&self) -> Option<Box<dyn VolumeFile>> {
         let Image::Imaris { finest: Some(plan), .. } = &self.image else { return None };
         let image = Image::Imaris { level: 0, finest: None };
@@ -202,9 +206,10 @@ impl Hdf5File {
         match &self.image {
             Image::Array(path) => vec![(0, path.clone())],
             Image::Imaris { level, .. } => {
-                let (channels, time) = collector.channels_and_time();
-                let name = |channel| imaris::array_path(*level, time as usize, channel as usize);
-                channels.map(name).enumerate().collect()
+                let [.., channels, time] = collector.selected() else { return Vec::new() };
+                let time = time.range.start as usize;
+                let name = |channel| imaris::array_path(*level, time, channel as usize);
+                channels.range.clone().map(name).enumerate().collect()
             }
         }
     }
@@ -226,6 +231,7 @@ impl Hdf5File {
             channel_axis: collector.channel_axis().filter(|_| is_array).map(|axis| num_axes - 1 - axis),
             channel,
             num_more_axes: collector.selected().len() - num_axes,
+            is_raw: collector.is_raw(),
         };
         grid.check_sizes(collector, &self.path, self.most_bytes)?;
         let chunks = storage.chunks(|start| start.len() == num_axes && grid.num_within(start) > 0);

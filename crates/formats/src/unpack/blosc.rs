@@ -4,14 +4,14 @@ use std::io::Read;
 
 use flate2::bufread::ZlibDecoder;
 
-use super::shuffle::{bit_unshuffled, unshuffled};
+use super::shuffle::{bit_unshuffled, shuffled, unshuffled};
 use super::unpack_zstd;
 use crate::dtype::Endian;
 use crate::error::quoted;
 use crate::header_bytes::HeaderBytes;
 
 /// Decodes a container, to at most `most` bytes.
-pub(super) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
+pub(crate) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
     if bytes.len() < HEADER_BYTES {
         return Err("a blosc container ends within its header".into());
     }
@@ -66,6 +66,36 @@ pub(super) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
     Ok(out)
 }
 
+/// Encodes numbers of `type_size` bytes in a container of one block, shuffled and packed by zstd.
+pub(crate) fn encode(bytes: &[u8], type_size: usize) -> Result<Vec<u8>, String> {
+    let size =
+        |n: usize| u32::try_from(n).map_err(|_| format!("a chunk of {n} bytes, expected fewer than 4 GiB"));
+    let shuffled = if type_size > 1 { Some(shuffled(bytes, type_size)) } else { None };
+    let packed = zstd::bulk::compress(shuffled.as_deref().unwrap_or(bytes), LEVEL);
+    let packed = packed.map_err(|e| quoted(&e.to_string()))?;
+    let num_more = HEADER_BYTES + 8;
+    let is_packed = packed.len() + num_more < bytes.len() + HEADER_BYTES;
+    let mut flags = SHUFFLE | DONT_SPLIT | ZSTD << 5;
+    if !is_packed {
+        flags |= MEMCPYED;
+    }
+    let whole = if is_packed { num_more + packed.len() } else { HEADER_BYTES + bytes.len() };
+    let mut out = Vec::with_capacity(whole);
+    out.extend([FORMAT, ZSTD_FORMAT, flags, type_size as u8]);
+    for number in [bytes.len(), bytes.len(), whole] {
+        out.extend(size(number)?.to_le_bytes());
+    }
+    if is_packed {
+        // The place of the one block, and the length of its one stream.
+        out.extend(size(HEADER_BYTES + 4)?.to_le_bytes());
+        out.extend(size(packed.len())?.to_le_bytes());
+        out.extend(packed);
+    } else {
+        out.extend_from_slice(bytes);
+    }
+    Ok(out)
+}
+
 /// Decodes a stream and appends its `size` bytes to `out`.
 fn stream(packed: &[u8], size: usize, coder: u8, out: &mut Vec<u8>) -> Result<(), String> {
     let error = |e: &dyn std::fmt::Display| quoted(&e.to_string());
@@ -95,6 +125,11 @@ fn stream(packed: &[u8], size: usize, coder: u8, out: &mut Vec<u8>) -> Result<()
     }
 }
 
+/// The version of the format and of its zstd streams.
+const FORMAT: u8 = 2;
+const ZSTD_FORMAT: u8 = 1;
+/// The level of zstd. Higher ones take much longer, and pack a scan hardly better.
+const LEVEL: i32 = 3;
 const HEADER_BYTES: usize = 16;
 const SHUFFLE: u8 = 1;
 const MEMCPYED: u8 = 2;
@@ -103,3 +138,36 @@ const DONT_SPLIT: u8 = 16;
 const LZ4: u8 = 1;
 const ZLIB: u8 = 3;
 const ZSTD: u8 = 4;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_encoded_is_decoded() {
+        let mut random = 1u32;
+        let mut noise = || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 24) as u8
+        };
+        for type_size in [1, 2, 4, 8] {
+            for length in [0, type_size, 8 * type_size, 4096 * type_size] {
+                let smooth: Vec<u8> = (0..length).map(|i| (i / 64) as u8).collect();
+                let rough: Vec<u8> = (0..length).map(|_| noise()).collect();
+                for bytes in [smooth, rough] {
+                    let packed = encode(&bytes, type_size).unwrap();
+                    assert_eq!(decode(&packed, length).unwrap(), bytes, "{type_size} {length}");
+                    assert!(packed.len() <= length + HEADER_BYTES);
+                    assert_eq!(packed[12..16], (packed.len() as u32).to_le_bytes());
+                    // The control: a container that lost its end.
+                    if length > 0 {
+                        assert!(decode(&packed[..packed.len() - 1], length).is_err());
+                    }
+                }
+            }
+        }
+        let smooth: Vec<u8> = (0..8192u16).flat_map(|i| (i / 3).to_le_bytes()).collect();
+        let packed = encode(&smooth, 2).unwrap();
+        assert!(packed.len() < smooth.len() / 10, "{}", packed.len());
+    }
+}

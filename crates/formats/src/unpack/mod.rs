@@ -1,6 +1,7 @@
-//! Decodes the bytes of chunks: the codecs of Zarr and the filters of HDF5. Nothing gives more bytes than it may.
+//! The bytes of chunks: the codecs of Zarr and the filters of HDF5. Decoding gives no more bytes than it may. Only blosc
+//! is also written.
 
-mod blosc;
+pub(crate) mod blosc;
 mod lzf;
 mod shuffle;
 

@@ -1,5 +1,17 @@
 //! Numbers whose bytes or bits were put together, so that they pack better.
 
+/// The byte shuffle: all first bytes before all second ones.
+pub(super) fn shuffled(bytes: &[u8], type_size: usize) -> Vec<u8> {
+    let n = bytes.len() / type_size;
+    let mut out = bytes.to_vec();
+    for (byte, plane) in out.chunks_exact_mut(n.max(1)).take(type_size).enumerate() {
+        for (to, number) in plane.iter_mut().zip(bytes.chunks_exact(type_size)) {
+            *to = number[byte];
+        }
+    }
+    out
+}
+
 /// Undoes the byte shuffle, which puts all first bytes before all second ones. Bytes that are left over stay.
 pub(super) fn unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
     let n = block.len() / type_size;

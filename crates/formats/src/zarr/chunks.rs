@@ -55,7 +55,8 @@ pub(super) fn read_chunks(
     collector: &mut Collector,
     most_bytes: u64,
 ) -> Result<(), FormatError> {
-    let grid = grid_of(array, collector.selected(), collector.channel_axis());
+    let is_raw = collector.is_raw();
+    let grid = ChunkGrid { is_raw, ..grid_of(array, collector.selected(), collector.channel_axis()) };
     grid.check_sizes(collector, &array.path, most_bytes)?;
     Chunks { array, store, grid, cancel: collector.cancel(), shared: None }.read_all(collector)
 }
@@ -73,6 +74,7 @@ fn grid_of<'a>(array: &'a Array, selected: &[Steps], channel_axis: Option<usize>
         channel_axis: channel_axis.map(|axis| num_axes - 1 - axis),
         channel: 0,
         num_more_axes: selected.len() - num_axes,
+        is_raw: false,
     }
 }
 

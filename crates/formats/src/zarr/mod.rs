@@ -6,9 +6,13 @@ mod boxes;
 mod cache;
 mod chunks;
 mod codec;
+mod describe;
 mod json;
 mod multiscale;
+mod pyramid;
 mod store;
+mod values;
+mod write;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,8 +26,12 @@ use rayon::prelude::*;
 
 use self::array::Array;
 use self::chunks::read_chunks;
+pub(crate) use self::describe::ImageFacts;
 use self::multiscale::Multiscale;
+pub(crate) use self::pyramid::{PyramidLevel, pyramid_levels};
 use self::store::Store;
+use self::values::ArrayValues;
+pub(crate) use self::write::{ArrayWriter, write_document};
 use crate::collector::Collector;
 use crate::error::{FormatError, io_error, malformed, not_there};
 use crate::plan::{BoxLevel, Plan, VolumeFile};
@@ -43,6 +51,8 @@ pub(crate) struct ZarrImage {
 struct ArrayPyramid {
     multiscale: Multiscale,
     arrays: Vec<Array>,
+    /// What the numbers of the arrays mean.
+    values: ArrayValues,
     store: Store,
 }
 
@@ -130,7 +140,9 @@ impl ZarrImage {
             None => multiscale.num_channels(&arrays[0].shape).min(MAX_CHANNELS as u64),
         };
         let level = level_to_show(path, &dims, num_channels, arrays[0].dtype, options)?;
-        let mut plan = multiscale.plan(&arrays, level).map_err(bad)?;
+        let finest = &arrays[0];
+        let values = ArrayValues::read(&store, &finest.path, finest.version)?;
+        let mut plan = multiscale.plan(&arrays, level, &values).map_err(bad)?;
         warn_of_level(&mut plan, options);
         if series.len() > 1 {
             if options.selection.series.is_none() {
@@ -141,7 +153,7 @@ impl ZarrImage {
             }
             plan.series = series;
         }
-        let pyramid = Arc::new(ArrayPyramid { multiscale, arrays, store });
+        let pyramid = Arc::new(ArrayPyramid { multiscale, arrays, values, store });
         Ok(Self { plan, pyramid, level, most_bytes: options.max_bytes })
     }
 }
@@ -149,6 +161,10 @@ impl ZarrImage {
 impl VolumeFile for ZarrImage {
     fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    fn is_chunked(&self) -> bool {
+        true
     }
 
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
@@ -168,7 +184,7 @@ impl VolumeFile for ZarrImage {
 
     fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
         let pyramid = &self.pyramid;
-        let plan = |level| pyramid.multiscale.plan(&pyramid.arrays, level);
+        let plan = |level| pyramid.multiscale.plan(&pyramid.arrays, level, &pyramid.values);
         let plans = (0..pyramid.arrays.len()).map(plan).collect::<Result<Vec<_>, _>>();
         let mut plans = plans.map_err(malformed(path, "OME-Zarr"))?;
         plans.iter_mut().for_each(|plan| plan.series.clone_from(&self.plan.series));
@@ -180,8 +196,8 @@ impl VolumeFile for ZarrImage {
         if self.level == 0 || matches!(self.pyramid.store, Store::Web(..)) {
             return None;
         }
-        let plan = self.pyramid.multiscale.plan(&self.pyramid.arrays, 0).ok()?;
         let pyramid = Arc::clone(&self.pyramid);
+        let plan = pyramid.multiscale.plan(&pyramid.arrays, 0, &pyramid.values).ok()?;
         Some(Box::new(Self { plan, pyramid, level: 0, most_bytes: self.most_bytes }))
     }
 }

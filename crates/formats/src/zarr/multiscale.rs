@@ -10,6 +10,7 @@ use serde_json::Value;
 use super::array::Array;
 use super::json;
 use super::store::Store;
+use super::values::ArrayValues;
 use crate::axes::{Geometry, World};
 use crate::error::{FormatError, malformed, quoted};
 use crate::levels::LevelGrid;
@@ -32,6 +33,30 @@ pub(super) struct Multiscale {
     labels: Option<Vec<VolumeLabel>>,
     /// Whether the axes are named.
     is_image: bool,
+    /// What this program adds to its own images.
+    own: OwnWords,
+}
+
+/// What isinglass says of an image for which OME-Zarr has no word.
+#[derive(Clone, Debug, Default)]
+struct OwnWords {
+    /// Whether the axes are those of a space with y up, and not of an image.
+    is_space: bool,
+    /// Whether the translations tell no position.
+    has_no_position: bool,
+    modality: Option<String>,
+}
+
+impl OwnWords {
+    fn of(attributes: &Value) -> Self {
+        let own = &attributes["isinglass"];
+        let modality = own["modality"].as_str().map(|text| quoted(text).trim_matches('"').to_owned());
+        Self {
+            is_space: own["frame"].as_str() == Some("space"),
+            has_no_position: own["position"].as_bool() == Some(false),
+            modality,
+        }
+    }
 }
 
 struct NamedAxis {
@@ -40,6 +65,8 @@ struct NamedAxis {
     unit: Option<(f64, &'static str)>,
     /// Its unit in seconds, if it is one of time.
     seconds: Option<f64>,
+    /// Where it points in a body, in RAS+, if it says so.
+    toward: Option<DVec3>,
 }
 
 /// The array of a level and its transformation.
@@ -116,7 +143,17 @@ impl Multiscale {
         let channels = channels.map_or(&[][..], |list| &list[..list.len().min(1024)]);
         let looks = channels.iter().map(look).collect();
         let channels = channels.iter().map(label).collect();
-        Ok(Self { version, axes, levels, all, channels, looks, labels: labels(attributes), is_image: true })
+        Ok(Self {
+            version,
+            axes,
+            levels,
+            all,
+            channels,
+            looks,
+            labels: labels(attributes),
+            is_image: true,
+            own: OwnWords::of(attributes),
+        })
     }
 
     fn of_array(store: &Store, path: &Path) -> Result<Option<Self>, FormatError> {
@@ -143,6 +180,7 @@ impl Multiscale {
             looks: vec![],
             labels: None,
             is_image: false,
+            own: OwnWords::default(),
         }))
     }
 
@@ -187,7 +225,15 @@ impl Multiscale {
         own.then(&self.all)
     }
 
-    pub(super) fn plan(&self, arrays: &[Array], level: usize) -> Result<Plan, String> {
+    /// Where x, y and z point in a body, if the axes say so and are at right angles.
+    fn directions(&self) -> Option<[DVec3; 3]> {
+        let toward = |k: usize| self.axes.iter().find(|a| a.kind == AxisKind::Space(k))?.toward;
+        let directions = [toward(0)?, toward(1)?, toward(2)?];
+        let [x, y, z] = directions;
+        (x.dot(y.cross(z)).abs() > 0.5).then_some(directions)
+    }
+
+    pub(super) fn plan(&self, arrays: &[Array], level: usize, values: &ArrayValues) -> Result<Plan, String> {
         let array = &arrays[level];
         if let Some(other) = arrays.iter().find(|a| a.shape.len() != self.axes.len()) {
             return Err(format!("an array has shape {:?}, expected {} axes", other.shape, self.axes.len()));
@@ -202,11 +248,13 @@ impl Multiscale {
         let (mut axes, mut steps, mut origin) = (Vec::new(), Vec::new(), DVec3::ZERO);
         let mut seen = [false; 3];
         let mut in_finest = LevelGrid::finest([1; 3]);
+        let directions = self.directions();
+        let along = directions.unwrap_or(DVec3::AXES);
         for i in (0..self.axes.len()).rev() {
             let role = match self.axes[i].kind {
                 AxisKind::Space(k) => {
-                    steps.push(DVec3::AXES[k] * length(i, place.scale[i]));
-                    origin[k] = length(i, place.translation[i]);
+                    steps.push(along[k] * length(i, place.scale[i]));
+                    origin += along[k] * length(i, place.translation[i]);
                     seen[k] = true;
                     let axis = steps.len() - 1;
                     in_finest.finest_dims[axis] = arrays[0].shape[i];
@@ -225,8 +273,12 @@ impl Multiscale {
         }
         let geometry = Geometry {
             steps: [steps[0], steps[1], steps[2]],
-            origin: self.is_image.then_some(origin),
-            world: World::Image,
+            origin: (self.is_image && !self.own.has_no_position).then_some(origin),
+            world: match directions {
+                Some(_) => World::Body,
+                None if self.own.is_space => World::Space,
+                None => World::Image,
+            },
             unit: unit.map(|u| u.1.to_owned()),
         };
         let name = if self.is_image {
@@ -237,7 +289,17 @@ impl Multiscale {
         let format = format!("{}, Zarr {}", name.trim_end(), array.version);
         let mut plan = Plan::new(format, array.dtype, array.codecs.endian, axes, geometry);
         plan.channel_names.clone_from(&self.channels);
-        plan.channel_looks.clone_from(&self.looks);
+        let (slope, intercept) = values.map;
+        let in_values = |(start, end): (f64, f64)| {
+            let (from, to) = (slope * start + intercept, slope * end + intercept);
+            (from.min(to), from.max(to))
+        };
+        let look = |look: &ChannelLook| ChannelLook { window: look.window.map(in_values), ..*look };
+        plan.channel_looks = self.looks.iter().map(look).collect();
+        plan.value_map = values.map;
+        plan.missing.values.extend(values.missing);
+        plan.value_unit.clone_from(&values.unit);
+        plan.modality.clone_from(&self.own.modality);
         if self.is_image && self.labels.is_none() {
             plan.join_channels();
         }
@@ -308,6 +370,19 @@ fn labels(attributes: &Value) -> Option<Vec<VolumeLabel>> {
     Some(found.into_iter().filter(|(value, _)| *value > 0).map(label).collect())
 }
 
+/// The direction in RAS+ of an axis with this anatomical orientation.
+fn toward(orientation: &str) -> Option<DVec3> {
+    Some(match orientation {
+        "left-to-right" => DVec3::X,
+        "right-to-left" => DVec3::NEG_X,
+        "posterior-to-anterior" => DVec3::Y,
+        "anterior-to-posterior" => DVec3::NEG_Y,
+        "inferior-to-superior" => DVec3::Z,
+        "superior-to-inferior" => DVec3::NEG_Z,
+        _ => return None,
+    })
+}
+
 /// A colour in six hexadecimal digits, perhaps after a number sign.
 fn color(text: &str) -> Option<[u8; 3]> {
     let digits = text.trim().trim_start_matches('#');
@@ -330,7 +405,8 @@ impl NamedAxis {
             _ => return Err(format!("an axis is called {}, expected t, c, z, y or x", quoted(name))),
         };
         let unit = value["unit"].as_str();
-        Ok(Self { kind, unit: unit.and_then(length_unit), seconds: unit.and_then(time_unit) })
+        let toward = value["orientation"]["value"].as_str().and_then(toward);
+        Ok(Self { kind, unit: unit.and_then(length_unit), seconds: unit.and_then(time_unit), toward })
     }
 }
 

@@ -14,7 +14,7 @@ use isinglass_formats::{
 };
 use isinglass_formats::{OpenedScene, open_scene};
 
-use super::{LookArgs, Switch};
+use super::{LookArgs, Switch, usage_error};
 use crate::library::{FileLoader, OpenedFile};
 use crate::local::index_folder;
 use crate::memory::MemoryArgs;
@@ -89,6 +89,16 @@ impl VolumeArgs {
     /// The contents of the file, by its header.
     pub(crate) fn outline(&self) -> Result<Outline> {
         Ok(outline(self.source()?, &self.options(&self.part.reading()))?)
+    }
+
+    /// What no command can do that keeps all voxels of a file as they are.
+    pub(crate) fn refuse_what_leaves_out_voxels(&self) -> Result<()> {
+        let PartArgs { thin, labels, .. } = &self.part;
+        let found = [("--thin", thin.is_some()), ("--labels", labels.is_some())];
+        match found.into_iter().find(|(_, is_given)| *is_given) {
+            Some((flag, _)) => Err(usage_error(format!("{flag}: found it, expected a volume as it is"))),
+            None => Ok(()),
+        }
     }
 
     /// Options for opening. The memory limit is the default of `serve`, so that both choose the same level of a

@@ -26,7 +26,11 @@ pub(crate) fn run(args: &IndexArgs) -> Result<()> {
         paged.keep_index(&index)?.context("there is no folder for it, expected XDG_CACHE_HOME or HOME")?;
     let [x, y, z] = index.pages();
     let num_pages = u64::from(x) * u64::from(y) * u64::from(z);
-    let mut text = format!("{num_pages} pages of {} channels in {}\n", index.num_channels(), file.display());
+    let channels = match index.num_channels() {
+        1 => String::new(),
+        n => format!(" of each of {n} channels"),
+    };
+    let mut text = format!("{num_pages} pages{channels} in {}\n", file.display());
     for (i, (scale, offset)) in paged.source.pyramid().value_maps.iter().enumerate() {
         let (lo, hi) = index.stored_range(i);
         text += &format!("  channel {i:<4} {} to {}\n", lo * scale + offset, hi * scale + offset);

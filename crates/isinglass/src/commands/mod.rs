@@ -2,6 +2,7 @@
 
 mod bench;
 mod compare;
+mod convert;
 mod demo;
 mod doctor;
 mod headless;
@@ -41,6 +42,8 @@ pub(crate) enum Command {
     Info(info::InfoArgs),
     /// Read all voxels of a large volume once, so that it is shown faster and in its true colours by pages
     Index(index::IndexArgs),
+    /// Make a pyramid in OME-Zarr of a volume, in bounded memory
+    Convert(convert::ConvertArgs),
     /// Measure speed, latency or the stages of a frame
     Bench(bench::BenchArgs),
     /// Join standard input and output with a server of this machine
@@ -67,6 +70,7 @@ impl Command {
             Self::Compare(args) => compare::run(&args),
             Self::Info(args) => info::run(&args),
             Self::Index(args) => index::run(&args),
+            Self::Convert(args) => convert::run(&args),
             Self::Bench(args) => bench::run(args),
             Self::Relay(args) => relay::run(&args),
             Self::Doctor(args) => doctor::run(&args),

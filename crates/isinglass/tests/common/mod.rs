@@ -38,6 +38,7 @@ impl Bench {
         command.env_remove("RUST_LOG").env_remove("DISPLAY").env_remove("ISINGLASS_DATA");
         // No settings of this machine.
         command.env("ISINGLASS_SYSTEM_CONFIG", self.path("etc")).env("XDG_CONFIG_HOME", self.path("home"));
+        command.env("XDG_CACHE_HOME", self.path("cache"));
         command
     }
 
