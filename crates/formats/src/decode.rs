@@ -33,6 +33,18 @@ pub(crate) struct Decoded {
     pub(crate) warnings: Vec<Warning>,
 }
 
+impl Decoded {
+    /// Makes all voxels zero, because none has a value.
+    pub(crate) fn empty(&mut self) {
+        if let Voxels::F32(v) = &mut self.voxels {
+            v.fill(0.0);
+        }
+        self.gaps = None;
+        let text = "no voxel has a value; the channel is empty and hidden";
+        self.warnings = vec![Warning::new(WarningKind::Values, text)];
+    }
+}
+
 impl VoxelSink {
     /// A sink with room for `num_voxels`. The caller has checked that number against the file and the memory limit.
     pub(crate) fn new(dtype: Dtype, endian: Endian, num_voxels: usize) -> Result<Self, TryReserveError> {

@@ -2,22 +2,26 @@
 
 use isinglass_core::volume::{Volume, Voxels};
 
+use crate::padding::MissingNumbers;
+
 /// What stands for no value in a channel.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct GapRule {
     /// Whether a float that is not finite does.
     pub(crate) has_gaps: bool,
     /// A number that marks missing floats.
     pub(crate) mark: Option<f32>,
-    /// The stored number outside of what was measured.
-    pub(crate) padding: Option<f32>,
+    /// The stored numbers that are missing, or outside of what was measured.
+    pub(crate) missing: MissingNumbers,
+    /// Whether no voxel of the channel has a value. Then a part without any has zeros, as the whole has.
+    pub(crate) is_empty: bool,
 }
 
 impl GapRule {
     /// Whether voxels of this type may be gaps, so that those beside a part count.
     pub(crate) fn may_find(&self, voxels: &Voxels) -> bool {
         let is_float = matches!(voxels, Voxels::F32(_));
-        self.padding.is_some() || (is_float && (self.has_gaps || self.mark.is_some()))
+        !self.missing.is_empty() || (is_float && (self.has_gaps || self.mark.is_some()))
     }
 
     /// Marks the gaps of a part of `dims` voxels, and fills them as a whole volume does: with the mean of the voxels
@@ -31,14 +35,15 @@ impl GapRule {
         dims: [u32; 3],
         elsewhere: f32,
     ) -> Result<Option<Vec<u8>>, String> {
-        let is_padding = |x: f32| self.padding == Some(x);
         let gaps: Vec<u8> = match &*voxels {
-            Voxels::U8(_) | Voxels::U16(_) if self.padding.is_none() => return Ok(None),
-            Voxels::U8(v) => v.iter().map(|&x| u8::from(is_padding(x.into()))).collect(),
-            Voxels::U16(v) => v.iter().map(|&x| u8::from(is_padding(x.into()))).collect(),
+            Voxels::U8(_) | Voxels::U16(_) if self.missing.is_empty() => return Ok(None),
+            Voxels::U8(v) => v.iter().map(|&x| u8::from(self.missing.contains(x.into()))).collect(),
+            Voxels::U16(v) => v.iter().map(|&x| u8::from(self.missing.contains(x.into()))).collect(),
             Voxels::F32(v) => {
-                let is_gap =
-                    |x: f32| (self.has_gaps && !x.is_finite()) || self.mark == Some(x) || is_padding(x);
+                let is_gap = |x: f32| {
+                    let is_marked = (self.has_gaps && !x.is_finite()) || self.mark == Some(x);
+                    is_marked || self.missing.contains(x)
+                };
                 v.iter().map(|&x| u8::from(is_gap(x))).collect()
             }
         };
@@ -55,6 +60,13 @@ impl GapRule {
         if gaps.iter().all(|gap| *gap == 0) {
             return Ok(None);
         }
+        if self.is_empty
+            && gaps.iter().all(|gap| *gap != 0)
+            && let Voxels::F32(v) = voxels
+        {
+            v.fill(0.0);
+            return Ok(None);
+        }
         voxels.fill_gaps(&gaps, dims, elsewhere);
         Ok(Some(gaps))
     }
@@ -66,7 +78,8 @@ mod tests {
 
     #[test]
     fn gaps_are_marked_and_filled_from_beside() {
-        let rule = GapRule { has_gaps: true, mark: Some(-9999.0), padding: Some(7.0) };
+        let missing = MissingNumbers { numbers: vec![7.0], valid: None };
+        let rule = GapRule { has_gaps: true, mark: Some(-9999.0), missing, is_empty: false };
         let numbers = vec![f32::NAN, 1.0, 3.0, -9999.0, 7.0, f32::INFINITY];
         let mut voxels = Voxels::F32(numbers.clone());
         assert!(rule.may_find(&voxels));
@@ -74,6 +87,21 @@ mod tests {
         assert_eq!(voxels, Voxels::F32(vec![1.0, 1.0, 3.0, 3.0, -5.0, -5.0]));
         let mut bytes = Voxels::U8(vec![7, 8, 9]);
         assert_eq!(rule.apply(&mut bytes, [3, 1, 1], 0.0), Ok(Some(vec![1, 0, 0])));
+        // Several numbers, and ends of those that are values.
+        let missing = MissingNumbers { numbers: vec![7.0, 9.0], valid: Some((2.0, 20.0)) };
+        let rule = GapRule { missing, ..GapRule::default() };
+        let mut words = Voxels::U16(vec![7, 1, 2, 9, 20, 21]);
+        assert!(rule.may_find(&words));
+        assert_eq!(rule.apply(&mut words, [6, 1, 1], 0.0), Ok(Some(vec![1, 1, 0, 1, 0, 1])));
+        assert_eq!(words, Voxels::U16(vec![0, 2, 2, 11, 20, 20]));
+        // A channel without any value has zeros; a part of another one has gaps.
+        for is_empty in [true, false] {
+            let rule = GapRule { has_gaps: true, is_empty, ..GapRule::default() };
+            let mut nothing = Voxels::F32(vec![f32::NAN; 2]);
+            let gaps = (!is_empty).then(|| vec![1, 1]);
+            assert_eq!(rule.apply(&mut nothing, [2, 1, 1], 0.0), Ok(gaps));
+            assert_eq!(nothing, Voxels::F32(vec![0.0; 2]));
+        }
         // The controls: without a rule, numbers stay, and what is no number is refused.
         let none = GapRule::default();
         assert!(none.apply(&mut Voxels::F32(numbers), [6, 1, 1], 0.0).is_err());

@@ -1,31 +1,82 @@
-//! Pixels outside of what a scanner measures: a value that the file names, or one that CT scanners write there.
+//! Voxels without a value: those that the file names, and what CT scanners write outside of what they measure.
 
 use isinglass_core::volume::{Volume, Voxels};
 use rayon::prelude::*;
 
 use crate::units::may_be_hounsfield;
 
-/// The volume with nothing in voxels of the padding value: `told`, or what is known of CT. Returns the stored number of
-/// such voxels, too.
-pub(crate) fn without_padding(mut volume: Volume, told: Option<f64>) -> (Volume, Option<f32>) {
+/// The values of which a file says that they stand for none.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Missing {
+    pub(crate) values: Vec<f64>,
+    /// The least and the greatest value that is one.
+    pub(crate) valid: Option<(f64, f64)>,
+    /// What such voxels are, for the warning.
+    pub(crate) what: &'static str,
+}
+
+impl Missing {
+    /// Whether one number cannot tell all.
+    pub(crate) fn are_several(&self) -> bool {
+        let mut finite = self.values.iter().filter(|value| value.is_finite());
+        let first = finite.next();
+        self.valid.is_some() || finite.any(|value| Some(value) != first)
+    }
+}
+
+impl Default for Missing {
+    fn default() -> Self {
+        Self { values: Vec::new(), valid: None, what: "outside of the scanned part" }
+    }
+}
+
+/// The stored numbers that stand for no value.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct MissingNumbers {
+    pub(crate) numbers: Vec<f32>,
+    /// The least and the greatest number that is a value.
+    pub(crate) valid: Option<(f32, f32)>,
+}
+
+impl MissingNumbers {
+    /// Whether no number is missing.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.numbers.is_empty() && self.valid.is_none()
+    }
+
+    pub(crate) fn contains(&self, number: f32) -> bool {
+        self.numbers.contains(&number) || self.valid.is_some_and(|(lo, hi)| number < lo || number > hi)
+    }
+}
+
+/// The volume with nothing in voxels that have no value: those that are `told`, or what is known of CT. Returns the
+/// stored numbers of such voxels, too.
+pub(crate) fn without_padding(mut volume: Volume, told: &Missing) -> (Volume, MissingNumbers) {
     let (lo, hi) = volume.value_range();
     let (scale, offset) = volume.value_map();
-    let stored_of = |value: f64| ((value - f64::from(offset)) / f64::from(scale)) as f32;
-    let padding = match told {
-        Some(value) => Some(stored_of(value)),
-        None if may_be_hounsfield(lo, hi) && volume.gaps().is_none() => {
-            let stored = stored_of(f64::from(lo));
-            (OF_CT.contains(&lo) && is_apart(&volume, stored, f64::from(scale))).then_some(stored)
-        }
-        None => None,
-    };
-    let Some(padding) = padding else { return (volume, None) };
     let is_integer = !matches!(volume.voxels(), Voxels::F32(_));
-    let padding = if is_integer { padding.round() } else { padding };
+    let stored_of = |value: f64| {
+        let stored = (value - f64::from(offset)) / f64::from(scale);
+        (if is_integer { stored.round() } else { stored }) as f32
+    };
+    let mut numbers: Vec<f32> = told.values.iter().map(|value| stored_of(*value)).collect();
+    let valid = told.valid.map(|ends| (stored_of(ends.0), stored_of(ends.1)));
+    let valid = valid.map(|(a, b)| (a.min(b), a.max(b)));
+    let is_told = !told.values.is_empty() || told.valid.is_some();
+    if !is_told && may_be_hounsfield(lo, hi) && volume.gaps().is_none() {
+        let stored = stored_of(f64::from(lo));
+        let is_circle = OF_CT.contains(&lo) && is_apart(&volume, stored, f64::from(scale));
+        numbers.extend(is_circle.then_some(stored));
+    }
+    let missing = MissingNumbers { numbers, valid };
+    if missing.is_empty() {
+        return (volume, missing);
+    }
+    let is_gap = |x: f32| u8::from(missing.contains(x));
     let gaps: Vec<u8> = match volume.voxels() {
-        Voxels::U8(v) => v.par_iter().map(|x| u8::from(f32::from(*x) == padding)).collect(),
-        Voxels::U16(v) => v.par_iter().map(|x| u8::from(f32::from(*x) == padding)).collect(),
-        Voxels::F32(v) => v.par_iter().map(|x| u8::from(*x == padding)).collect(),
+        Voxels::U8(v) => v.par_iter().map(|x| is_gap(f32::from(*x))).collect(),
+        Voxels::U16(v) => v.par_iter().map(|x| is_gap(f32::from(*x))).collect(),
+        Voxels::F32(v) => v.par_iter().map(|x| is_gap(*x)).collect(),
     };
     let before = volume.gaps().map(|gaps| gaps.bytes.clone());
     let gaps = match before {
@@ -36,11 +87,14 @@ pub(crate) fn without_padding(mut volume: Volume, told: Option<f64>) -> (Volume,
     volume = volume.with_gaps(gaps);
     let num = volume.gaps().map_or(0, |gaps| gaps.num_gaps) - had;
     if num > 0 {
-        let value = padding * scale + offset;
-        let text = format!("{num} voxels are {value}, outside of the scanned part; nothing is shown there");
+        let value = match (&missing.numbers[..], valid) {
+            ([stored], None) => format!("{}, ", stored * scale + offset),
+            _ => String::new(),
+        };
+        let text = format!("{num} voxels are {value}{}; nothing is shown there", told.what);
         volume.info.warnings.push(text);
     }
-    (volume, Some(padding))
+    (volume, missing)
 }
 
 /// Whether a good share of the voxels has the number, and hardly any one of the numbers next to it.
@@ -89,17 +143,25 @@ mod tests {
     fn what_is_outside_of_the_circle_is_nothing() {
         let tissue = |i: u32| -1000.0 + (i % 100) as f32 * 20.0;
         for outside in OF_CT {
-            let (found, padding) = without_padding(ct(outside, tissue), None);
-            assert_eq!(padding, Some(outside + 4000.0));
+            let (found, missing) = without_padding(ct(outside, tissue), &Missing::default());
+            assert_eq!(missing, MissingNumbers { numbers: vec![outside + 4000.0], valid: None });
             assert_eq!(found.gaps().map(|g| g.num_gaps), Some(300), "{outside}");
             assert_eq!(found.value_range().0, -1000.0);
             assert!(found.info.warnings[0].contains(&outside.to_string()));
         }
         // The controls: another least value, air that happens to be the least, and a value that the file names.
-        assert!(without_padding(ct(-1010.0, tissue), None).0.gaps().is_none());
+        assert!(without_padding(ct(-1010.0, tissue), &Missing::default()).0.gaps().is_none());
         let air = |i: u32| -1024.0 + (i % 7) as f32;
-        assert!(without_padding(ct(-1024.0, air), None).0.gaps().is_none());
-        let (told, _) = without_padding(ct(-1010.0, tissue), Some(-1010.0));
+        assert!(without_padding(ct(-1024.0, air), &Missing::default()).0.gaps().is_none());
+        let (told, _) =
+            without_padding(ct(-1010.0, tissue), &Missing { values: vec![-1010.0], ..Missing::default() });
         assert_eq!(told.gaps().map(|g| g.num_gaps), Some(300));
+        // Several values, and ends of those that are valid.
+        let several = Missing { values: vec![-1010.0, -1000.0], valid: Some((-2e9, 979.0)), what: "missing" };
+        let (found, missing) = without_padding(ct(-1010.0, tissue), &several);
+        assert_eq!(found.gaps().map(|g| g.num_gaps), Some(300 + 7 + 7));
+        assert_eq!(found.value_range(), (-980.0, 960.0));
+        assert_eq!(missing.numbers, [2990.0, 3000.0]);
+        assert_eq!([2990.0, 2995.0, 4979.0, 4980.0].map(|x| missing.contains(x)), [true, false, false, true]);
     }
 }

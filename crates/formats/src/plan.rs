@@ -13,6 +13,7 @@ use crate::error::{FormatError, malformed, shown};
 use crate::hyperslab::Steps;
 use crate::levels::{InFinest, LevelGrid};
 use crate::outline::{Level, Outline};
+use crate::padding::Missing;
 use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name};
 use crate::warning::{Warning, WarningKind};
@@ -41,6 +42,15 @@ impl Axis {
     pub(crate) fn in_space(dims: [u64; 3]) -> Vec<Self> {
         dims.into_iter().enumerate().map(|(i, size)| Self { size, role: Role::Space(i) }).collect()
     }
+}
+
+/// What a file says that an axis is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum AxisKind {
+    /// The axis x, y or z.
+    Space(usize),
+    Channel,
+    Time,
 }
 
 #[derive(Clone, Debug)]
@@ -85,8 +95,8 @@ pub(crate) struct Plan {
     pub(crate) labels: Vec<VolumeLabel>,
     /// The warning if neither the file nor the options have a spacing.
     pub(crate) spacing_guess: Option<String>,
-    /// The value of pixels outside of the measured part, if the file tells it.
-    pub(crate) padding: Option<f64>,
+    /// The values that stand for none, as far as the file tells them.
+    pub(crate) missing: Missing,
     /// Whether a float that is not a number is a voxel without a value. In a raw file, it hints at a wrong type
     /// instead.
     pub(crate) has_gaps: bool,
@@ -126,7 +136,7 @@ impl Plan {
             are_labels: false,
             labels: Vec::new(),
             spacing_guess: None,
-            padding: None,
+            missing: Missing::default(),
             has_gaps: true,
             warnings: Vec::new(),
         }

@@ -11,7 +11,7 @@ use crate::error::{FormatError, malformed, shown};
 use crate::gap_rule::GapRule;
 use crate::labels::mark_labels;
 use crate::levels::KnownNumbers;
-use crate::padding;
+use crate::padding::without_padding;
 use crate::paged::IndexPlace;
 use crate::plan::{Chosen, Plan, VolumeFile};
 use crate::reading::Reading;
@@ -29,10 +29,7 @@ pub(crate) fn read_volume(
     file.read(&mut collector)?;
     let decoded = collector.finish()?;
     let plan = file.plan();
-    let mut volumes = Vec::new();
-    for (channel, decoded) in chosen.channels.clone().zip(decoded) {
-        volumes.push(channel_volume(plan, &chosen, channel, decoded, path)?.0);
-    }
+    let (volumes, _) = channel_volumes(plan, &chosen, decoded, path)?;
     let (volumes, word) = pinned(volumes, &*file, &chosen, path, options)?;
     let warnings = chosen.warnings.iter().map(|w| w.text.clone()).chain(word).collect();
     joint(volumes, plan, warnings, path, options)
@@ -120,8 +117,39 @@ fn finest_numbers(
     }
 }
 
-/// The volume of one channel, with the warnings about its voxels, and which of them have no value.
-pub(crate) fn channel_volume(
+/// The volume of each channel, with the warnings about its voxels, and which of them have no value. A channel without
+/// any value is empty and hidden beside others.
+pub(crate) fn channel_volumes(
+    plan: &Plan,
+    chosen: &Chosen,
+    decoded: Vec<Decoded>,
+    path: &Path,
+) -> Result<(Vec<Volume>, Vec<GapRule>), FormatError> {
+    let are_empty: Vec<bool> = decoded.iter().map(|channel| !has_values(&channel.voxels)).collect();
+    let is_any_full = are_empty.contains(&false);
+    let (mut volumes, mut rules) = (Vec::new(), Vec::new());
+    for ((channel, mut decoded), is_empty) in chosen.channels.clone().zip(decoded).zip(are_empty) {
+        let is_empty = is_empty && is_any_full;
+        if is_empty {
+            decoded.empty();
+        }
+        let (mut volume, rule) = channel_volume(plan, chosen, channel, decoded, path)?;
+        volume.info.channel.is_hidden |= is_empty;
+        volumes.push(volume);
+        rules.push(GapRule { is_empty, ..rule });
+    }
+    Ok((volumes, rules))
+}
+
+/// Whether any voxel is a number.
+fn has_values(voxels: &Voxels) -> bool {
+    match voxels {
+        Voxels::F32(v) => v.iter().any(|x| x.is_finite()),
+        _ => true,
+    }
+}
+
+fn channel_volume(
     plan: &Plan,
     chosen: &Chosen,
     channel: u32,
@@ -158,8 +186,8 @@ pub(crate) fn channel_volume(
         Some(Voxels::U8(gaps)) => volume.with_gaps(gaps),
         _ => volume,
     };
-    let (volume, padding) = padding::without_padding(volume, plan.padding);
-    let rule = GapRule { has_gaps: plan.has_gaps, mark: decoded.mark, padding };
+    let (volume, missing) = without_padding(volume, &plan.missing);
+    let rule = GapRule { has_gaps: plan.has_gaps, mark: decoded.mark, missing, is_empty: false };
     Ok((volume, rule))
 }
 

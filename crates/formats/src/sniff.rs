@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::{dicom, metaimage, mgh, mrc, nifti, npy, vtk};
+use crate::{dicom, hdf5, metaimage, mgh, mrc, nifti, npy, vtk};
 
 /// The format of a file, judged by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +21,7 @@ pub(crate) enum FileKind {
     Vtk,
     Mgh,
     Png,
+    Hdf5,
     /// An unsupported format, with a description.
     Other(&'static str),
 }
@@ -38,6 +39,7 @@ impl FileKind {
                 | Self::Vti
                 | Self::Vtk
                 | Self::Mgh
+                | Self::Hdf5
         )
     }
 
@@ -56,6 +58,7 @@ impl FileKind {
             Self::Vti | Self::Vtk => "a VTK file",
             Self::Mgh => "a FreeSurfer MGH volume",
             Self::Png => "a PNG picture",
+            Self::Hdf5 => "an HDF5 file",
             Self::Other(name) => name,
         }
     }
@@ -78,6 +81,7 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
         () if is_at(0, b"PK\x03\x04") || is_at(0, b"PK\x05\x06") => FileKind::Zip,
         () if is_at(0, vtk::MAGIC) => FileKind::Vtk,
         () if is_at(0, b"\x89PNG") => FileKind::Png,
+        () if hdf5::is_header(start) => FileKind::Hdf5,
         () if mgh::is_header(start, path) => FileKind::Mgh,
         () if mrc::is_header(start, path) => FileKind::Mrc,
         () if dicom::is_header(start) => FileKind::Dicom,
@@ -124,9 +128,8 @@ fn other_name(start: &[u8]) -> &'static str {
         }
         () if is_at(0, b"<?xml") => "an XML document of another kind",
         () if is_at(0, b"IGLF") => "a stored layered frame",
-        () if is_at(0, b"\x89HDF") => "an HDF5 file",
         () if is_at(0, &[0xff, 0xd8, 0xff]) => "a JPEG picture",
-        () if is_at(0, b"CDF") => "a netCDF file",
+        () if is_at(0, b"CDF") => "a classic netCDF file",
         () if is_at(0, b"BZh") || is_at(0, b"\xfd7zXZ") || is_at(0, b"\x28\xb5\x2f\xfd") => "compressed data",
         () if is_at(0, &[0x5c, 1, 0, 0]) || is_at(0, &[0, 0, 1, 0x5c]) => "an Analyze header",
         () if is_at(0, b"ZISRAWFILE") => "a Zeiss CZI file",
@@ -150,10 +153,11 @@ const LFS: &[u8] = b"version https://git-lfs.github.com/spec/";
 pub(crate) const LFS_NAME: &str = "a Git LFS pointer in place of the file";
 
 /// How a user converts unsupported files.
-const WAYS: [(&str, &str); 9] = [
+const WAYS: [(&str, &str); 10] = [
     (LFS_NAME, "the file itself, which `git lfs pull` fetches"),
     ("an Analyze header", "NIfTI, which `nib-convert FILE.hdr FILE.nii` (nibabel) makes of it"),
     ("voxels without their .hdr file", "the .hdr file, with the .img beside it"),
+    ("a classic netCDF file", "NetCDF-4, which `nccopy -k nc4 FILE OUT.nc` makes of it"),
     ("a Zeiss CZI file", BIO_FORMATS),
     ("a Leica LIF file", BIO_FORMATS),
     ("a Nikon ND2 file", BIO_FORMATS),
@@ -164,7 +168,7 @@ const WAYS: [(&str, &str); 9] = [
 
 const BIO_FORMATS: &str = "OME-TIFF, which `bfconvert FILE FILE.ome.tif` (Bio-Formats) makes of it";
 
-pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTK image, MRC, MGH, NumPy or OME-Zarr, slices in a folder, or raw voxels with their dimensions and type given";
+pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTK image, MRC, MGH, NumPy, HDF5, NetCDF-4, Imaris or OME-Zarr, slices in a folder, or raw voxels with their dimensions and type given";
 
 /// Bytes that are enough to recognise all formats.
 pub(crate) const SNIFFED_BYTES: u64 = 1024;

@@ -20,8 +20,10 @@ use crate::read_volume::read_volume;
 use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
-use crate::web::is_address;
-use crate::{dicom, metaimage, mgh, mrc, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr};
+use crate::web::{is_address, shown_address};
+use crate::{
+    dicom, hdf5, metaimage, mgh, mrc, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr,
+};
 
 /// How to open a volume.
 #[derive(Clone, Copy)]
@@ -85,8 +87,9 @@ impl OpenOptions<'_> {
     }
 }
 
-/// Opens `source`: the path of a file or folder, the address of an OME-Zarr image, or `builtin:cloud|cubus|shells`. A built-in name may end with `@N`
-/// for N voxels along each side. The path of a raw file needs [`OpenOptions::raw`].
+/// Opens `source`: the path of a file or folder, the address of an OME-Zarr image, or `builtin:cloud|cubus|shells`.
+/// The path of an array within an HDF5 file follows that of the file. A built-in name may end with `@N` for N voxels
+/// along each side. The path of a raw file needs [`OpenOptions::raw`].
 ///
 /// # Errors
 /// The file cannot be read, or its format or selection is not supported. The message is one line.
@@ -182,10 +185,14 @@ pub(crate) fn open_source(
     options: &OpenOptions,
 ) -> Result<(PathBuf, Box<dyn VolumeFile>), FormatError> {
     if is_address(source) {
-        let path = PathBuf::from(source.trim_end_matches('/'));
+        let path = PathBuf::from(shown_address(source));
         return Ok((path, Box::new(zarr::ZarrImage::open_web(source, options)?)));
     }
     let path = path_of(source)?;
+    if let Some((path, inside)) = within_file(&path) {
+        let file = hdf5::Hdf5File::open(open_file(&path)?, &path, &inside, options)?;
+        return Ok((path, Box::new(file)));
+    }
     let file = open_path(&path, options)?;
     Ok((path, file))
 }
@@ -196,10 +203,20 @@ fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError
     Ok(builtin.volume(side))
 }
 
-/// Whether `source` is a built-in volume, an address of the web, or names a file or folder that exists. This may wait
-/// for a disk, but asks no server.
+/// Whether `source` is a built-in volume, an address of the web, or names a file or folder that exists, or an array in
+/// a file. This may wait for a disk, but asks no server.
 pub fn source_exists(source: &str) -> bool {
-    source.starts_with("builtin:") || is_address(source) || path_of(source).is_ok_and(|path| path.exists())
+    let is_there = |path: PathBuf| path.exists() || within_file(&path).is_some();
+    source.starts_with("builtin:") || is_address(source) || path_of(source).is_ok_and(is_there)
+}
+
+/// The HDF5 file that `path` goes through, and the rest of the path within it, which begins with a slash. No such path
+/// exists for the system.
+fn within_file(path: &Path) -> Option<(PathBuf, String)> {
+    let file = path.ancestors().skip(1).find(|part| part.is_file()).filter(|_| !path.exists())?;
+    hdf5::is_header(&read_start(file)?).then_some(())?;
+    let rest = path.strip_prefix(file).ok()?.iter().map(|name| name.to_string_lossy());
+    Some((file.to_owned(), rest.fold(String::new(), |all, name| all + "/" + &name)))
 }
 
 /// The path that `source` names. Some names are no UTF-8. They have � in place of what is not, and the file whose
@@ -266,6 +283,7 @@ pub(crate) fn open_path(path: &Path, options: &OpenOptions) -> Result<Box<dyn Vo
         FileKind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
         FileKind::Vtk => Box::new(vtk::VtkFile::open(file, path)?),
         FileKind::Mgh => Box::new(mgh::MghFile::open(file, path)?),
+        FileKind::Hdf5 => Box::new(hdf5::Hdf5File::open(file, path, "/", options)?),
         FileKind::Png => Box::new(png_stack::PngStack::open(vec![path.to_owned()], path, options)?),
         FileKind::Other(sniff::PAIR) => return open_path(&path.with_extension("hdr"), options),
         FileKind::Other(found) => return Err(unsupported(found, sniff::expected_for(found))),

@@ -11,7 +11,8 @@ pub(crate) fn length_unit(name: &str) -> Option<(f64, &'static str)> {
         | "micrometers" | "micrometre" => (1e-6, "µm"),
         "mm" | "millimeter" | "millimeters" | "millimetre" => (1e-3, "mm"),
         "cm" | "centimeter" | "centimeters" | "centimetre" => (1e-2, "cm"),
-        "m" | "meter" | "meters" | "metre" => (1.0, "m"),
+        "m" | "meter" | "meters" | "metre" | "metres" => (1.0, "m"),
+        "km" | "kilometer" | "kilometers" | "kilometre" => (1e3, "km"),
         "in" | "inch" | "inches" => (0.0254, "in"),
         _ => return None,
     })

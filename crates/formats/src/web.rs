@@ -3,6 +3,7 @@
 
 use std::io;
 use std::path::Path;
+use std::thread;
 use std::time::Duration;
 
 use ureq::http::{Response, StatusCode};
@@ -13,10 +14,12 @@ use crate::error::{FormatError, one_line, shown};
 /// A client for the files below one address.
 pub(crate) struct WebFolder {
     agent: Agent,
-    /// The address as the user wrote it.
+    /// The address as the user wrote it, without its query.
     shown: String,
     /// The address for requests, without a slash at its end.
     base: String,
+    /// What follows each address, such as `?token=…`; empty if nothing does.
+    query: String,
 }
 
 /// What to get of a file.
@@ -36,6 +39,19 @@ pub fn is_address(source: &str) -> bool {
         .any(|scheme| source.get(..scheme.len()).is_some_and(|start| start.eq_ignore_ascii_case(scheme)))
 }
 
+/// An address as it is shown: without its query, which may be secret.
+pub(crate) fn shown_address(address: &str) -> &str {
+    parts(address).0
+}
+
+/// An address without a slash at its end, and its query for every file below it.
+fn parts(address: &str) -> (&str, String) {
+    let address = address.split('#').next().unwrap_or_default();
+    let (place, query) = address.split_once('?').unwrap_or((address, ""));
+    let query = if query.is_empty() { String::new() } else { format!("?{query}") };
+    (place.trim_end_matches('/'), query)
+}
+
 impl WebFolder {
     /// The folder at `address`. Nothing is requested yet.
     pub(crate) fn new(address: &str) -> Self {
@@ -51,11 +67,12 @@ impl WebFolder {
             .http_status_as_error(false)
             .user_agent("isinglass")
             .build();
-        let shown = address.trim_end_matches('/').to_owned();
-        Self { agent: config.into(), base: http_address(&shown), shown }
+        let (place, query) = parts(address);
+        let shown = place.to_owned();
+        Self { agent: config.into(), base: http_address(&shown), shown, query }
     }
 
-    /// The address as the user wrote it.
+    /// The address as the user wrote it, without its query, which may be secret.
     pub(crate) fn address(&self) -> &str {
         &self.shown
     }
@@ -71,24 +88,39 @@ impl WebFolder {
         part: FilePart,
         most: u64,
     ) -> Result<Option<(Vec<u8>, u64)>, FormatError> {
-        let bad = |problem: String| FormatError::Data { path: shown(path), problem };
-        let answer = match self.request(path, part) {
-            // The server may have closed a connection that was kept.
-            Err(e) if !matches!(e, ureq::Error::Timeout(_)) => self.request(path, part),
-            answer => answer,
-        };
-        let mut answer = answer.map_err(|e| self.error(path, &e))?;
-        let status = answer.status();
-        match status {
-            StatusCode::OK | StatusCode::PARTIAL_CONTENT => {}
-            // Buckets without a public list refuse access to what is not there.
-            StatusCode::NOT_FOUND | StatusCode::GONE | StatusCode::FORBIDDEN => return Ok(None),
-            // It may answer otherwise later.
-            _ if status.is_server_error() || status == StatusCode::TOO_MANY_REQUESTS => {
-                let cause = io::Error::other(format!("the server answers {status}, expected the file"));
-                return Err(FormatError::Io { path: shown(path), cause });
+        let mut wait = FIRST_WAIT;
+        for _ in 0..MAX_AGAIN {
+            match self.read_once(path, part, most) {
+                Err(Failure::Passing(after, _)) => thread::sleep(after.unwrap_or(wait).min(LONGEST_WAIT)),
+                Err(Failure::Lasting(e)) => return Err(e),
+                Ok(found) => return Ok(found),
             }
-            _ => return Err(bad(format!("the server answers {status}, expected the file"))),
+            wait *= 2;
+        }
+        self.read_once(path, part, most).map_err(|failure| match failure {
+            Failure::Passing(_, e) | Failure::Lasting(e) => e,
+        })
+    }
+
+    fn read_once(&self, path: &Path, part: FilePart, most: u64) -> Result<Option<(Vec<u8>, u64)>, Failure> {
+        let bad = |problem: String| Failure::Lasting(FormatError::Data { path: shown(path), problem });
+        let mut answer = self.request(path, part).map_err(|e| self.failure(path, &e))?;
+        let status = answer.status();
+        match status.as_u16() {
+            200 | 206 => {}
+            // Buckets without a public list refuse access to what is not there.
+            403 | 404 | 410 => return Ok(None),
+            // The server is busy, or something before it is.
+            429 | 500 | 502..=504 => {
+                let cause = io::Error::other(unexpected(status));
+                return Err(Failure::Passing(wait_of(&answer), FormatError::Io { path: shown(path), cause }));
+            }
+            // It may answer otherwise later, but not soon.
+            501 | 505..=599 => {
+                let cause = io::Error::other(unexpected(status));
+                return Err(Failure::Lasting(FormatError::Io { path: shown(path), cause }));
+            }
+            _ => return Err(bad(unexpected(status))),
         }
         let wanted = match part {
             FilePart::Whole => None,
@@ -106,7 +138,7 @@ impl WebFolder {
         let body = answer.body_mut().with_config().limit(limit.saturating_add(1)).read_to_vec();
         let bytes = body.map_err(|e| match e {
             ureq::Error::BodyExceedsLimit(_) => long(),
-            e => self.error(path, &e),
+            e => self.failure(path, &e),
         })?;
         let found = bytes.len() as u64;
         if found > limit {
@@ -122,6 +154,7 @@ impl WebFolder {
         let inner = path.strip_prefix(&self.shown).unwrap_or(path);
         let names = inner.iter().map(|name| escaped(&name.to_string_lossy()));
         let address = std::iter::once(self.base.clone()).chain(names).collect::<Vec<_>>().join("/");
+        let address = address + &self.query;
         let request = self.agent.get(&address);
         match part {
             FilePart::Whole => request,
@@ -133,15 +166,37 @@ impl WebFolder {
         .call()
     }
 
-    fn error(&self, path: &Path, e: &ureq::Error) -> FormatError {
-        let cause = match e {
+    /// A connection that was dropped may be made again. One that is only slow would be slow again.
+    fn failure(&self, path: &Path, e: &ureq::Error) -> Failure {
+        let path = shown(path);
+        match e {
             ureq::Error::Timeout(_) => {
-                io::Error::new(io::ErrorKind::TimedOut, "the server does not answer in time")
+                let cause = io::Error::new(io::ErrorKind::TimedOut, "the server does not answer in time");
+                Failure::Lasting(FormatError::Io { path, cause })
             }
-            e => io::Error::other(one_line(&e.to_string())),
-        };
-        FormatError::Io { path: shown(path), cause }
+            e => {
+                let cause = io::Error::other(one_line(&e.to_string()));
+                Failure::Passing(None, FormatError::Io { path, cause })
+            }
+        }
     }
+}
+
+/// Why a file was not read.
+enum Failure {
+    /// It may be there later, after the time that the server names.
+    Passing(Option<Duration>, FormatError),
+    Lasting(FormatError),
+}
+
+fn unexpected(status: StatusCode) -> String {
+    format!("the server answers {status}, expected the file")
+}
+
+/// The seconds after which a busy server wants to be asked again.
+fn wait_of(answer: &Response<Body>) -> Option<Duration> {
+    let seconds: u32 = answer.headers().get("retry-after")?.to_str().ok()?.trim().parse().ok()?;
+    Some(Duration::from_secs(seconds.into()))
 }
 
 /// The length of the whole file, from the headers of an answer.
@@ -177,6 +232,11 @@ const CONNECT_TIME: Duration = Duration::from_secs(15);
 /// Until an answer begins. All of it may take three times as long.
 const ANSWER_TIME: Duration = Duration::from_secs(30);
 const MAX_REDIRECTS: u32 = 5;
+/// How often a file is asked for again.
+const MAX_AGAIN: u32 = 4;
+/// Until it is asked for again; twice as long each time.
+const FIRST_WAIT: Duration = Duration::from_millis(100);
+const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
 #[cfg(test)]
 mod tests {
@@ -226,7 +286,10 @@ mod tests {
         fails(whole(b"", 1000), "does not answer in time");
         fails(whole(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n", 1000), "in time");
         fails(whole(b"nonsense\r\n\r\n", 1000), "a b");
-        fails(whole(b"HTTP/1.1 500 Oh\r\nContent-Length: 0\r\n\r\n", 1000), "the server answers 500");
+        fails(
+            whole(b"HTTP/1.1 500 Oh\r\nConnection: close\r\nContent-Length: 0\r\n\r\n", 1000),
+            "the server answers 500",
+        );
         assert_eq!(whole(b"HTTP/1.1 404 No\r\nContent-Length: 0\r\n\r\n", 9), Ok(None));
         assert_eq!(whole(b"HTTP/1.1 403 No\r\nContent-Length: 0\r\n\r\n", 9), Ok(None));
     }
@@ -239,6 +302,17 @@ mod tests {
         assert!(got(part, FilePart::End(10), 9).unwrap_err().contains("expected at most 9"));
         let whole = b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\nhello";
         assert!(got(whole, FilePart::At(2, 3), 9).unwrap_err().contains("sends no parts of files"));
+    }
+
+    #[test]
+    fn a_query_follows_each_address_and_is_not_shown() {
+        for (address, place, query) in [
+            ("https://a/b.zarr?token=x/y#z", "https://a/b.zarr", "?token=x/y"),
+            ("https://a/b.zarr/?", "https://a/b.zarr", ""),
+            ("s3://a/b/", "s3://a/b", ""),
+        ] {
+            assert_eq!((shown_address(address), parts(address).1.as_str()), (place, query));
+        }
     }
 
     #[test]

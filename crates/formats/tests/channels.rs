@@ -182,3 +182,43 @@ fn one_channel_is_shown_where_all_do_not_fit() {
         assert!(volume.info.warnings.iter().any(|w| w.contains(text)), "{:?}", volume.info.warnings);
     }
 }
+
+#[test]
+fn a_channel_without_any_value_is_empty_and_hides_no_other() {
+    let folder = TempDir::new().unwrap();
+    let path = zarr(folder.path(), 3, "");
+    let array = r#"{"zarr_format": 2, "shape": [3, 3, 4, 5], "chunks": [1, 3, 4, 5], "dtype": "<f4",
+        "compressor": null, "filters": null, "order": "C", "fill_value": 0, "dimension_separator": "/"}"#;
+    fs::write(path.join("0/.zarray"), array).unwrap();
+    let write = |channel: usize, number: &dyn Fn(usize) -> f32| {
+        let bytes: Vec<u8> = (0..NUM_VOXELS).flat_map(|i| number(i).to_le_bytes()).collect();
+        fs::create_dir_all(path.join(format!("0/{channel}/0/0"))).unwrap();
+        fs::write(path.join(format!("0/{channel}/0/0/0")), bytes).unwrap();
+    };
+    for empty in 0..3 {
+        for channel in 0..3 {
+            write(channel, &|i| if channel == empty { f32::NAN } else { (i + 10 * channel) as f32 });
+        }
+        let (volume, _) = opened(&path, &options(None));
+        for (channel, found) in volume.channels().enumerate() {
+            assert_eq!(found.info.channel.is_hidden, channel == empty);
+            let expected = if channel == empty {
+                (0.0, 0.0)
+            } else {
+                (10.0 * channel as f32, 59.0 + 10.0 * channel as f32)
+            };
+            assert_eq!(found.value_range(), expected);
+        }
+        let warnings = volume.info.warnings.join("\n");
+        assert_eq!(
+            warnings.matches("no voxel has a value; the channel is empty and hidden").count(),
+            1,
+            "{warnings}"
+        );
+        // Alone it is no volume.
+        let alone = open(path.to_str().unwrap(), &options(Some(empty as u32)));
+        assert!(alone.is_err());
+    }
+    (0..3).for_each(|channel| write(channel, &|_| f32::NAN));
+    assert!(open(path.to_str().unwrap(), &options(None)).is_err());
+}

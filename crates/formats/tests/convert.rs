@@ -144,9 +144,21 @@ fn check_same(found: &Volume, source: &Volume, name: &str) {
 #[test]
 fn every_format_becomes_the_same_volume() {
     let mut num = 0;
-    for archive in
-        ["nrrd", "nifti", "metaimage", "tiff", "vti", "mrc", "numpy", "zarr", "packed", "dicom", "calibrated"]
-    {
+    for archive in [
+        "nrrd",
+        "nifti",
+        "metaimage",
+        "tiff",
+        "vti",
+        "mrc",
+        "numpy",
+        "zarr",
+        "packed",
+        "dicom",
+        "calibrated",
+        "hdf5",
+        "hdf5_axes",
+    ] {
         let folder = unpack(archive);
         let out = TempDir::new().unwrap();
         let mut paths: Vec<PathBuf> =
@@ -157,14 +169,21 @@ fn every_format_becomes_the_same_volume() {
             let Ok(before) = outline(text, &OpenOptions::default()) else { continue };
             let name = format!("{archive}/{}", before.name);
             let target = out.path().join(format!("{num}.ome.zarr"));
-            converted(&source, &target, &OpenOptions::default()).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let done = converted(&source, &target, &OpenOptions::default());
+            let notes = done.unwrap_or_else(|e| panic!("{name}: {e}")).notes;
+            // What is outside of a valid range becomes a value, which is told.
+            let is_told = notes.iter().any(|note| note.contains("several numbers for no value"));
+            assert_eq!(is_told, before.name == "ocean.nc", "{name}: {notes:?}");
+            num += 1;
+            if is_told {
+                continue;
+            }
             for channel in 0..before.num_channels as u32 {
                 for time in 0..before.num_times as u32 {
                     let selection = part(channel, time, 0);
                     check_same(&opened(&target, selection), &opened(&source, selection), &name);
                 }
             }
-            num += 1;
         }
         let leftovers = fs::read_dir(out.path())
             .unwrap()

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use glam::Vec3;
-use isinglass_core::volume::{Histogram, PageId, Volume};
+use isinglass_core::volume::{Histogram, PAGE_POINTS, PageId, Volume};
 use isinglass_formats::{
     Dtype, Endian, FormatError, OpenOptions, PageIndex, PageIndexBuilder, RawShape, Selection, open,
     open_paged,
@@ -34,7 +34,9 @@ fn raw(path: &Path, dtype: Dtype, of: impl Fn(f32) -> Vec<u8>) -> RawShape {
 
 /// Least and greatest stored number of the points of a page, by the whole volume.
 fn walked(volume: &Volume, at: [u32; 3]) -> (f32, f32) {
-    let ranges = at.map(|n| n * 64).into_iter().zip(DIMS).map(|(from, n)| from..(from + 66).min(n));
+    // Its points begin two before its cells.
+    let from = at.map(|n| (n * 64).saturating_sub(2));
+    let ranges = from.into_iter().zip(DIMS).map(|(from, n)| from..(from + PAGE_POINTS).min(n));
     let [x, y, z]: [std::ops::Range<u32>; 3] = ranges.collect::<Vec<_>>().try_into().unwrap();
     let all =
         z.flat_map(|z| y.clone().map(move |y| (z, y))).flat_map(|(z, y)| x.clone().map(move |x| (x, y, z)));

@@ -132,7 +132,7 @@ fn pages_of_raw_files_of_every_type_are_those_of_the_volume() {
     let paged = open_paged(text(&path), &options).unwrap();
     let whole = open(text(&path), &options).unwrap();
     let page = paged.source.read(0, PageId { level: 0, at: [0, 0, 1] }).unwrap();
-    assert!(is_part(&page, &whole, [0, 0, 64]) && !is_part(&page, &whole, [0, 0, 0]));
+    assert!(is_part(&page, &whole, [0, 0, 62]) && !is_part(&page, &whole, [0, 0, 0]));
     let none = paged.source.read(0, PageId { level: 0, at: [0, 0, 3] }).unwrap_err();
     assert!(matches!(none, PageError::Damaged(text) if text.contains("no page")));
 }
@@ -270,6 +270,37 @@ fn pages_of_every_level_channel_and_time_of_an_image_are_those_of_the_level() {
 }
 
 #[test]
+fn a_channel_without_any_value_has_empty_pages_and_hides_no_other() {
+    let folder = TempDir::new().unwrap();
+    let dims = [70u64, 67, 66];
+    let scale = |f: f64| (vec![1.0, f, f, f], vec![0.0, (f - 1.0) / 2.0, (f - 1.0) / 2.0, (f - 1.0) / 2.0]);
+    write_image(folder.path(), &["c", "z", "y", "x"], &[scale(1.0), scale(2.0)], "");
+    let write = |is_empty: &dyn Fn(&[u64]) -> bool| {
+        for (level, f) in [(0, 1), (1, 2)] {
+            let shape = [2, dims[2] / f, dims[1] / f, dims[0] / f];
+            let array =
+                ArrayText { shape: &shape, chunk: &[1, 32, 32, 32], dtype: "<f4", packing: Packing::Raw };
+            array.write(&folder.path().join(level.to_string()), |at| {
+                let value = number(at[3] * f, at[2] * f, at[1] * f) as f32;
+                (if is_empty(at) { f32::NAN } else { value }).to_le_bytes().to_vec()
+            });
+        }
+    };
+    write(&|at| at[0] == 1);
+    let paged = check_pages(folder.path(), &OpenOptions::default());
+    let are_hidden: Vec<bool> = paged.base.channels().map(|channel| channel.info.channel.is_hidden).collect();
+    assert_eq!(are_hidden, [false, true]);
+    let index = paged.build_index(None, None).unwrap();
+    assert_eq!((index.stored_range(0), index.stored_range(1)), ((0.0, 250.0), (0.0, 0.0)));
+    // The control: a channel that has some values has gaps.
+    write(&|at| at[0] == 1 && at[3] > 20);
+    let paged = check_pages(folder.path(), &OpenOptions::default());
+    assert!(paged.base.channels().all(|channel| !channel.info.channel.is_hidden));
+    let page = paged.source.read(1, PageId { level: 0, at: [0; 3] }).unwrap();
+    assert!(page.gaps.is_some());
+}
+
+#[test]
 fn what_is_absent_has_its_fill_value_and_what_is_damaged_is_told() {
     let folder = TempDir::new().unwrap();
     image(folder.path(), Packing::Zstd, [1, 1, 32, 32, 32], "|u1");
@@ -311,7 +342,7 @@ fn neighbouring_pages_share_their_chunks() {
     let whole = open(text(folder.path()), &options).unwrap();
     fs::remove_dir_all(folder.path().join("0/0/0")).unwrap();
     assert_eq!(read([0; 3]), first);
-    assert!(is_part(&read([1, 1, 0]), &whole, [64, 64, 0]));
+    assert!(is_part(&read([1, 1, 0]), &whole, [62, 62, 0]));
     assert_eq!(paged.num_absent(), 0);
     // The control: who opens it now finds nothing.
     let anew = open_paged(text(folder.path()), &options).unwrap();
@@ -332,7 +363,7 @@ fn sides_and_offsets_beyond_a_volume_are_read() {
     let paged = open_paged(text(&path), &options).unwrap();
     assert_eq!(paged.source.pyramid().dims(), dims);
     let page = paged.source.read(0, PageId { level: 0, at: [46, 0, 0] }).unwrap();
-    assert_eq!(page.voxels.get(55), number(2944 + 55, 0, 0) as f32);
+    assert_eq!(page.voxels.get(55), number(2942 + 55, 0, 0) as f32);
     // Holes in files take no room. One byte far behind 4 GiB is not 0.
     let path = folder.path().join("large.raw");
     let dims = [2500u32, 1000, 2500];
@@ -352,7 +383,8 @@ fn sides_and_offsets_beyond_a_volume_are_read() {
     let paged = open_paged(text(&path), &options).unwrap();
     let place = at.map(|n| (n / 64) as u32);
     let page = paged.source.read(0, PageId { level: 0, at: place }).unwrap();
-    let inner = at.map(|n| (n % 64) as u32);
+    // The points of a page begin two before its cells.
+    let inner = at.map(|n| (n % 64) as u32 + 2);
     let index = (inner[2] * PAGE_POINTS + inner[1]) * PAGE_POINTS + inner[0];
     let sum: f32 = (0..page.voxels.len()).map(|i| page.voxels.get(i)).sum();
     assert_eq!((page.voxels.get(index as usize), sum), (9.0, 9.0));

@@ -184,3 +184,47 @@ fn absent_chunks_are_counted() {
         "chunks not found: 18 of 18, shown as the fill value of the array; is the dimension separator right?";
     assert!(said().iter().any(|w| w == text), "{:?}", said());
 }
+
+/// The metadata are those that ngff-zarr 0.50 writes, but for the unit and the second system.
+#[test]
+fn version_0_6_names_its_systems_of_coordinates() {
+    let folder = TempDir::new().unwrap();
+    let folder = folder.path();
+    let axes = r#"[{"name": "z", "type": "space", "unit": "micrometer"}, {"name": "y", "type": "space", "unit": "micrometer"},
+        {"name": "x", "type": "space", "unit": "micrometer"}]"#;
+    let level = |i: usize, steps: &str| {
+        format!(
+            r#"{{"path": "{i}", "coordinateTransformations": [{{"input": {{"path": "{i}"}}, "output": {{"name": "own"}},
+            "type": "sequence", "transformations": [{steps}]}}]}}"#
+        )
+    };
+    let write = |first: &str, more: &str| {
+        let second = r#"{"type": "scale", "scale": [3.0, 4.0, 3.0]}, {"type": "translation", "translation": [5.0, 21.0, -9.25]}"#;
+        let text = format!(
+            r#"{{"zarr_format": 3, "node_type": "group", "attributes": {{"ome": {{"version": "0.6", "multiscales": [{{
+            "coordinateSystems": [{{"name": "other", "axes": [{{"name": "a"}}]}}, {{"name": "own", "axes": {axes}}}],
+            "datasets": [{}, {}]{more}}}]}}}}}}"#,
+            level(0, first),
+            level(1, second)
+        );
+        fs::write(folder.join("zarr.json"), text).unwrap();
+    };
+    let first = r#"{"type": "scale", "scale": [3.0, 2.0, 1.5]}, {"type": "translation", "translation": [5.0, 20.0, -10.0]}"#;
+    array(&folder.join("0"), [4, 5, 6], "/", "0", Some(1));
+    array(&folder.join("1"), [4, 3, 3], "/", "0", Some(1));
+    // What leads to another system moves nothing.
+    let to_other = r#", "coordinateTransformations": [{"type": "affine", "affine": [[1]], "input": {"name": "own"}, "output": {"name": "other"}}]"#;
+    for more in ["", to_other] {
+        write(first, more);
+        let (fine, coarse) = (place(folder, 0), place(folder, 1));
+        assert!(is_near(fine, [1.5, 2.0, 3.0], [-6.25, 24.0, 9.5]), "{fine:?}");
+        // The middle is that of the finest level.
+        assert!(is_near(coarse, [3.0, 4.0, 3.0], [-6.25, 24.0, 9.5]), "{coarse:?}");
+        assert_eq!(opened(folder, 0).unwrap().info.unit.as_deref(), Some("µm"));
+        let found = outline(folder.to_str().unwrap(), &OpenOptions::default()).unwrap();
+        assert!(found.format.starts_with("OME-Zarr 0.6, Zarr "), "{}", found.format);
+    }
+    write(r#"{"type": "rotation", "rotation": [[1]]}"#, "");
+    let problem = opened(folder, 0).map(|v| v.dims()).unwrap_err().to_string();
+    assert!(problem.contains("a transformation is \"rotation\", expected scale or translation"), "{problem}");
+}

@@ -2,13 +2,15 @@
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
+use std::collections::VecDeque;
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::Duration;
 
 use isinglass_core::volume::{PageError, PageId, Volume};
 use isinglass_formats::{FormatError, OpenOptions, Selection, open, open_paged, outline, source_exists};
@@ -19,6 +21,19 @@ struct FileServer {
     address: String,
     requests: Arc<Mutex<Vec<String>>>,
     most_at_once: Arc<AtomicUsize>,
+    /// What the next requests get in place of a file.
+    faults: Arc<Mutex<VecDeque<Fault>>>,
+}
+
+/// How a request fails.
+#[derive(Clone, Copy)]
+enum Fault {
+    /// Such a status, and that the client should come back at once.
+    Status(u16),
+    /// The connection ends in the middle of the file.
+    Cut,
+    /// Nothing is answered until there is another fault.
+    Silence,
 }
 
 impl FileServer {
@@ -27,18 +42,21 @@ impl FileServer {
         let address = format!("http://{}", listener.local_addr().unwrap());
         let (requests, most_at_once) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicUsize::new(0)));
         let (folder, theirs, most) = (folder.to_owned(), Arc::clone(&requests), Arc::clone(&most_at_once));
+        let faults = Arc::new(Mutex::new(VecDeque::new()));
+        let faults_of_thread = Arc::clone(&faults);
         let now = Arc::new(AtomicUsize::new(0));
         thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 let (folder, requests, most, now) =
                     (folder.clone(), theirs.clone(), most.clone(), now.clone());
+                let faults = faults_of_thread.clone();
                 thread::spawn(move || {
                     let mut reader = BufReader::new(stream.try_clone().unwrap());
-                    while serve(&mut reader, &stream, &folder, &requests, (&now, &most)).is_some() {}
+                    while serve(&mut reader, &stream, &folder, &requests, (&now, &most), &faults).is_some() {}
                 });
             }
         });
-        Self { address, requests, most_at_once }
+        Self { address, requests, most_at_once, faults }
     }
 
     fn requests(&self) -> Vec<String> {
@@ -53,6 +71,7 @@ fn serve(
     folder: &Path,
     requests: &Mutex<Vec<String>>,
     (now, most): (&AtomicUsize, &AtomicUsize),
+    faults: &Mutex<VecDeque<Fault>>,
 ) -> Option<()> {
     let mut first = String::new();
     reader.read_line(&mut first).ok().filter(|n| *n > 0)?;
@@ -71,10 +90,25 @@ fn serve(
     }
     most.fetch_max(now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
     // Long enough for others to arrive.
-    thread::sleep(std::time::Duration::from_millis(3));
+    thread::sleep(Duration::from_millis(3));
     let name = first.split(' ').nth(1)?.trim_start_matches('/').replace("%20", " ");
     requests.lock().unwrap().push(name.clone());
-    let answer = match fs::read(folder.join(&name)) {
+    let name = name.split('?').next()?;
+    let fault = faults.lock().unwrap().pop_front();
+    match fault {
+        Some(Fault::Status(status)) => {
+            now.fetch_sub(1, Ordering::SeqCst);
+            let head = format!("HTTP/1.1 {status} Busy\r\nRetry-After: 0\r\nContent-Length: 0\r\n\r\n");
+            return stream.write_all(head.as_bytes()).ok();
+        }
+        Some(Fault::Silence) => {
+            while faults.lock().unwrap().is_empty() {
+                thread::sleep(Duration::from_millis(5));
+            }
+        }
+        Some(Fault::Cut) | None => {}
+    }
+    let answer = match fs::read(folder.join(name)) {
         Err(_) => b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n".to_vec(),
         Ok(bytes) => {
             let n = bytes.len();
@@ -93,6 +127,11 @@ fn serve(
         }
     };
     now.fetch_sub(1, Ordering::SeqCst);
+    if let Some(Fault::Cut) = fault {
+        let _ = stream.write_all(&answer[..answer.len() - answer.len() / 4]);
+        let _ = stream.shutdown(std::net::Shutdown::Both);
+        return None;
+    }
     stream.write_all(&answer).ok()
 }
 
@@ -279,4 +318,77 @@ fn what_is_no_image_is_refused_in_one_line() {
         let message = opened(&source, Selection::default()).unwrap_err().to_string();
         assert!(message.contains(words) && message.lines().count() == 1, "{message}");
     }
+}
+
+#[test]
+fn a_query_follows_every_address_and_is_told_to_nobody() {
+    let folder = TempDir::new().unwrap();
+    image(folder.path());
+    let server = FileServer::start(folder.path());
+    let source = format!("{}/an%20image.zarr?token=secret/1&v=2", server.address);
+    let volume = opened(&source, Selection::default()).unwrap();
+    assert_eq!((volume.dims(), &volume.info.name[..]), ([8; 3], "an%20image.zarr"));
+    let requests = server.requests();
+    assert!(requests.len() > 8 && requests.iter().all(|name| name.ends_with("?token=secret/1&v=2")));
+    let message = opened(&source.replace("image", "omage"), Selection::default()).unwrap_err().to_string();
+    assert!(!message.contains("secret"), "{message}");
+    // The control: without a query there is none.
+    server.requests();
+    opened(source.split('?').next().unwrap(), Selection::default()).unwrap();
+    assert!(server.requests().iter().all(|name| !name.contains('?')));
+}
+
+#[test]
+fn what_fails_for_a_moment_is_asked_for_again_and_the_rest_is_an_error() {
+    let folder = TempDir::new().unwrap();
+    image(folder.path());
+    let server = FileServer::start(folder.path());
+    let source = format!("{}/an%20image.zarr", server.address);
+    let right = numbers(&opened(&source, Selection::default()).unwrap());
+    for faults in
+        [vec![Fault::Status(503), Fault::Status(429), Fault::Cut, Fault::Status(503)], vec![Fault::Cut; 4]]
+    {
+        server.requests();
+        server.faults.lock().unwrap().extend(faults);
+        assert_eq!(numbers(&opened(&source, Selection::default()).unwrap()), right);
+        assert!(server.faults.lock().unwrap().is_empty());
+    }
+    // It gives up after five times.
+    for (status, words) in [(503, "the server answers 503"), (429, "the server answers 429")] {
+        server.requests();
+        server.faults.lock().unwrap().extend([Fault::Status(status); 40]);
+        let message = opened(&source, Selection::default()).unwrap_err().to_string();
+        assert!(message.contains(words) && message.lines().count() == 1, "{message}");
+        assert_eq!((server.requests().len(), server.faults.lock().unwrap().len()), (5, 35));
+        server.faults.lock().unwrap().clear();
+    }
+    // The control: what a server refuses for good is asked for once.
+    server.faults.lock().unwrap().push_back(Fault::Status(401));
+    let message = opened(&source, Selection::default()).unwrap_err().to_string();
+    assert!(message.contains("the server answers 401"), "{message}");
+    assert_eq!(server.requests().len(), 1);
+}
+
+#[test]
+fn the_survey_of_a_silent_server_ends_when_it_is_cancelled() {
+    let folder = TempDir::new().unwrap();
+    image(folder.path());
+    let server = FileServer::start(folder.path());
+    server.faults.lock().unwrap().push_back(Fault::Silence);
+    let source = format!("{}/an%20image.zarr", server.address);
+    let cancel = AtomicBool::new(false);
+    let found = thread::scope(|scope| {
+        let opening = scope.spawn(|| {
+            let options = OpenOptions { cancel: Some(&cancel), ..OpenOptions::default() };
+            open(&source, &options).map(|volume| volume.dims())
+        });
+        while server.requests().is_empty() {
+            thread::yield_now();
+        }
+        cancel.store(true, Ordering::Relaxed);
+        opening.join().unwrap()
+    });
+    // The server still says nothing.
+    assert!(matches!(found, Err(FormatError::Cancelled { .. })), "{found:?}");
+    server.faults.lock().unwrap().push_back(Fault::Status(503));
 }

@@ -120,7 +120,7 @@ impl Seen {
         }
         let saved = self.state.volume.as_ref();
         let server = saved.and_then(|v| v.link().map(|_| "a server").or(v.server.as_deref()));
-        let source = saved.map(SavedVolume::volume_source).transpose().map_err(anyhow::Error::msg)?;
+        let source = saved.map(SavedVolume::source_to_open).transpose().map_err(anyhow::Error::msg)?;
         let source = source.flatten().with_context(|| match server {
             Some(server) => format!("the state's volume is shown by {server}, expected VOLUME"),
             None => "the state does not say where its volume is, expected VOLUME".into(),

@@ -72,7 +72,7 @@ fn name_of(path: &Path) -> String {
     name.chars().take(80).map(|c| if is_control(c) { '?' } else { c }).collect()
 }
 
-const WHAT_OPENS: &str = "isinglass opens volumes (NRRD, NIfTI, DICOM, TIFF, MetaImage, MRC, NumPy, VTI, OME-Zarr), \
+const WHAT_OPENS: &str = "isinglass opens volumes (NRRD, NIfTI, DICOM, TIFF, MetaImage, MRC, NumPy, VTI, HDF5, OME-Zarr), \
                           saved views, and files of colours and opacities.";
 
 #[cfg(test)]

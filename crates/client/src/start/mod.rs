@@ -34,6 +34,7 @@ use crate::panels::background::Background;
 use crate::panels::known_files::KnownFile;
 use crate::panels::style::{self, name_window, named, pane_at};
 use crate::panels::system_dialog::{Picked, SystemDialog, Wanted};
+use crate::panels::text::sentence;
 use crate::view::frame_source::FrameSource;
 use crate::view::{BoxedSource, Waker};
 
@@ -291,7 +292,7 @@ impl StartWindow {
         self.problem = None;
         let opening = read.and_then(|read| {
             let volume = read.state.volume.clone().unwrap_or_default();
-            let source = volume.volume_source().map_err(|e| format!("The state's region: {e}"))?;
+            let source = volume.source_to_open().map_err(|e| sentence(&e))?;
             let opening = match (volume.link(), source) {
                 (Some(link), _) => {
                     let link = link.parse().map_err(|e| format!("The link of the state's volume: {e}"))?;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use isinglass_core::volume::Volume;
 use isinglass_formats::{
-    LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, state_from_link,
+    LoadRequest, Loading, Outline, ReadState, RecentPlace, VolumeSource, is_address, state_from_link,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, State, Tunnel};
 
@@ -112,7 +112,7 @@ impl Opening {
             .file_name()
             .map_or_else(|| request.source.clone(), |n| n.to_string_lossy().into_owned());
         // The recent list may be read from another working folder.
-        let source = match request.source.starts_with("builtin:") {
+        let source = match request.source.starts_with("builtin:") || is_address(&request.source) {
             true => request.source.clone(),
             false => std::path::absolute(&request.source)
                 .map_or_else(|_| request.source.clone(), |path| path.to_string_lossy().into_owned()),

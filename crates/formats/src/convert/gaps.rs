@@ -119,8 +119,10 @@ impl Tally {
             let number = (value - intercept) / slope;
             if plan.dtype.num_bytes_in_memory() < 4 { number.round() } else { number }
         };
-        if let Some(value) = plan.padding {
-            return Some(number_of(value)).filter(|number| number.is_finite());
+        let mut told = plan.missing.values.iter().map(|value| number_of(*value)).filter(|x| x.is_finite());
+        if !plan.missing.values.is_empty() {
+            let first = told.clone().next();
+            return told.find(|number| self.may_have(*number)).or(first);
         }
         let (least, greatest) = self.extremes.range();
         if plan.dtype.integer_range().is_none() && plan.has_gaps {
@@ -134,6 +136,9 @@ impl Tally {
             if self.num_not_finite > 0 {
                 return None;
             }
+        }
+        if plan.missing.valid.is_some() {
+            return None;
         }
         let value = |x: f32| (f64::from(x) * slope + intercept) as f32;
         let (lo, hi) = (value(least).min(value(greatest)), value(least).max(value(greatest)));

@@ -193,7 +193,7 @@ impl<'a> Conversion<'a> {
     fn make(&mut self) -> Result<Converted, FormatError> {
         self.describe(false, None)?;
         self.part.note(&self.journal)?;
-        let notes = self.write_finest()?;
+        let mut notes = self.write_finest()?;
         let are_labels = match self.journal.are_labels {
             Some(known) => known,
             None => self.are_labels(),
@@ -206,6 +206,9 @@ impl<'a> Conversion<'a> {
         let rules: Vec<Rule> =
             gaps.iter().map(|gap| if are_labels { Rule::Majority } else { Rule::Mean(*gap) }).collect();
         self.write_coarser(&rules)?;
+        if !are_labels && self.plan.missing.are_several() {
+            notes.push(SEVERAL_GAPS.to_owned());
+        }
         Ok(Converted { are_labels, notes })
     }
 
@@ -393,6 +396,9 @@ fn fingerprint(source: &str, path: &Path, options: &OpenOptions, plan: &Plan, nu
 
 /// Voxels along a side of a chunk.
 const SIDE: u64 = 64;
+/// What is said of a file with several numbers for no value.
+const SEVERAL_GAPS: &str =
+    "the file has several numbers for no value; the image has one, and the others are values in it";
 /// Chunks that a thread has in memory at once: eight of the level above, one that is made, and its packed forms.
 const WORKING_CHUNKS: u64 = 12;
 const MOST_THREADS: u64 = 32;

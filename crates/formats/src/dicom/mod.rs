@@ -227,12 +227,13 @@ impl DicomFiles {
             let sign = if shape.is_inverted { -1.0 } else { 1.0 };
             plan.value_map = (sign * slope, slope * sum + intercept);
         }
-        plan.padding = frames.first().filter(|_| shape.samples == 1).and_then(|frame| {
+        let padding = frames.first().filter(|_| shape.samples == 1).and_then(|frame| {
             let number = frame.padding?;
             let (scale, offset) = plan.value_map;
             let upright = if shape.is_inverted { inverted_sum(&shape) - number } else { number };
             Some(if is_rescaled { frame.scale.value(upright) } else { scale * number + offset })
         });
+        plan.missing.values.extend(padding);
         if shape.is_inverted {
             plan.warn(WarningKind::Values, "the least value is white (MONOCHROME1); values were inverted");
         }

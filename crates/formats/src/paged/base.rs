@@ -13,7 +13,7 @@ use crate::error::{FormatError, io_error};
 use crate::gap_rule::GapRule;
 use crate::hyperslab::Steps;
 use crate::plan::{Chosen, Plan};
-use crate::read_volume::{UNKNOWN_NUMBERS, channel_volume, joint};
+use crate::read_volume::{UNKNOWN_NUMBERS, channel_volumes, joint};
 use crate::source::OpenOptions;
 
 /// The base, and what it tells of the pages.
@@ -46,7 +46,7 @@ impl Base {
         let num_voxels: u64 = level.shape.dims.iter().map(|&n| u64::from(n)).product();
         options.check_memory(path, num_voxels * bytes * (channels.len() as u64 + 1))?;
         let num_slabs = channels.len() * SLABS;
-        let (mut volumes, mut rules) = (Vec::new(), Vec::new());
+        let mut decoded = Vec::new();
         for (i, channel) in channels.enumerate() {
             let steps = level.steps(&level.chosen.grid, channel);
             let tick = |slab: usize| {
@@ -55,11 +55,9 @@ impl Base {
                 }
                 options.check_cancelled(path)
             };
-            let decoded = read_slabs(level, &steps, path, &tick)?.finish(level.plan.has_gaps);
-            let (volume, rule) = channel_volume(&level.plan, &level.chosen, channel, decoded, path)?;
-            volumes.push(volume);
-            rules.push(rule);
+            decoded.push(read_slabs(level, &steps, path, &tick)?.finish(level.plan.has_gaps));
         }
+        let (volumes, rules) = channel_volumes(&level.plan, &level.chosen, decoded, path)?;
         let kind = match bytes {
             1 => VoxelKind::U8,
             2 => VoxelKind::U16,

@@ -3,8 +3,7 @@
 use std::sync::Arc;
 
 use isinglass_core::volume::{
-    Histogram, PAGE_CELLS, PAGE_POINTS, PageId, PageRanges, PageVoxels, Pyramid, PyramidLevel, VoxelKind,
-    Voxels,
+    Histogram, PAGE_POINTS, PageId, PageRanges, PageVoxels, Pyramid, PyramidLevel, VoxelKind, Voxels,
 };
 
 use crate::levels::KnownNumbers;
@@ -125,12 +124,13 @@ impl PageIndexBuilder {
         }
         found.ranges[index] = range;
         self.num_missing -= 1;
-        // Each voxel counts in the page of its cell, and the last ones in the last page.
-        let sides: [u32; 3] = std::array::from_fn(|k| match page.at[k] + 1 < self.pages[k] {
-            true => PAGE_CELLS,
-            false => self.level.dims[k] - self.level.first_point(page.at)[k],
+        // Each voxel counts once: those before the next page's first one, and all of the last page.
+        let first = self.level.first_point(page.at);
+        let next = self.level.first_point(page.at.map(|n| n + 1));
+        let [nx, ny, nz] = std::array::from_fn(|k| {
+            let end = if page.at[k] + 1 < self.pages[k] { next[k] } else { self.level.dims[k] };
+            (end - first[k]).min(PAGE_POINTS)
         });
-        let [nx, ny, nz] = sides.map(|n| n.min(PAGE_POINTS));
         for (z, y) in (0..nz).flat_map(|z| (0..ny).map(move |y| (z, y))) {
             let row = ((z * PAGE_POINTS + y) * PAGE_POINTS) as usize;
             for i in (row..row + nx as usize).filter(|&i| gaps.is_none_or(|gaps| gaps[i] == 0)) {

@@ -47,6 +47,7 @@ use crate::selection::{Flip, Selection};
 use crate::source::{read_file, source_exists};
 use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
+use crate::web::{is_address, shown_address};
 
 pub use link::{MAX_LINK_BYTES, state_from_link, state_to_link};
 pub use marks::{
@@ -169,6 +170,23 @@ impl SavedVolume {
         }))
     }
 
+    /// The same, to open it because a state says so. A state may be anybody's, so it makes the program ask no address
+    /// of the web.
+    ///
+    /// # Errors
+    /// The volume or its labels are at an address, or the region or the flip is invalid.
+    pub fn source_to_open(&self) -> Result<Option<VolumeSource>, String> {
+        let source = self.volume_source().map_err(|e| format!("the state's region: {e}"))?;
+        let places = source.iter().flat_map(|v| [Some(&v.source), v.reading.labels.as_ref()]).flatten();
+        if let Some(address) = places.into_iter().find(|place| is_address(place)) {
+            return Err(format!(
+                "the state's volume is at the address {}, expected you to open that first; a state alone asks no address",
+                quoted(shown_address(address))
+            ));
+        }
+        Ok(source)
+    }
+
     /// The part of the file.
     ///
     /// # Errors
@@ -204,10 +222,11 @@ impl SavedVolume {
         let named = Path::new(source);
         let beside = match named.is_relative() {
             true => Some(folder.join(named)),
-            false if !named.exists() => named.file_name().map(|name| folder.join(name)),
+            false if !source_exists(source) => named.file_name().map(|name| folder.join(name)),
             false => None,
         };
-        let found = beside.filter(|path| !source.starts_with(BUILTIN) && path.exists());
+        let found =
+            beside.filter(|path| !source.starts_with(BUILTIN) && source_exists(&path.to_string_lossy()));
         let found =
             found.and_then(|path| std::path::absolute(path).ok()?.into_os_string().into_string().ok());
         Self { source: found.or(self.source), ..self }

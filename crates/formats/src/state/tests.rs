@@ -258,6 +258,7 @@ fn what_it_takes_to_read_a_volume_again_is_kept_but_not_in_links() {
         },
     };
     assert_eq!(volume.volume_source(), Ok(Some(source.clone())));
+    assert_eq!(volume.source_to_open(), Ok(Some(source.clone())));
     let opened = SavedVolume { time: None, raw: None, ..volume.clone() }.opened_from(&source);
     assert_eq!(opened, SavedVolume { region: Some("1:5,0:,7:".into()), ..volume.clone() });
     let text = state(1).to_toml();
@@ -310,4 +311,24 @@ fn a_volume_that_was_moved_with_its_state_is_found_beside_it() {
     std::fs::write(&other, "NRRD0005").unwrap();
     assert_eq!(read(other.to_str().unwrap()).source.as_deref(), other.to_str());
     assert_eq!(read("isinglass://h:1/head.nrrd").link(), Some("isinglass://h:1/head.nrrd"));
+}
+
+#[test]
+fn a_state_alone_asks_no_address() {
+    let volume = state(1).volume.unwrap();
+    let at = |source: &str, labels: Option<&str>| SavedVolume {
+        source: Some(source.into()),
+        labels: labels.map(str::to_owned),
+        ..volume.clone()
+    };
+    for address in ["https://example.org/a.zarr?token=7", "HTTP://example.org/a.zarr", "s3://bucket/a.zarr"] {
+        for asks in [at(address, None), at("head.nrrd", Some(address))] {
+            let problem = asks.source_to_open().unwrap_err();
+            assert!(problem.contains("a state alone asks no address"), "{problem}");
+            assert!(problem.contains(address.split('?').next().unwrap()) && !problem.contains("token"));
+            // A window that shows it already compares the two.
+            assert!(asks.volume_source().is_ok_and(|source| source.is_some()));
+        }
+    }
+    assert!(at("head.nrrd", Some("labels.nii")).source_to_open().is_ok());
 }

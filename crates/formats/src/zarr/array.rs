@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::codec::{Codec, Codecs};
+use super::codec::{Codecs, compressor_of};
 use super::json;
 use super::store::Store;
 use crate::dtype::{Dtype, Endian};
@@ -91,7 +91,7 @@ impl Array {
         let is_fortran = value["order"].as_str() == Some("F");
         let order = if is_fortran { (0..num_axes).rev().collect() } else { (0..num_axes).collect() };
         let compressor = value.get("compressor").filter(|c| !c.is_null());
-        let packed = compressor.map(Codec::of_version_2).transpose()?.into_iter().collect();
+        let packed = compressor.map(compressor_of).transpose()?.into_iter().collect();
         let separator = value["dimension_separator"].as_str().unwrap_or(".");
         Ok(Self {
             path: PathBuf::new(),

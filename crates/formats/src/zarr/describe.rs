@@ -187,6 +187,7 @@ fn long(short: &str) -> Option<&'static str> {
         "mm" => "millimeter",
         "cm" => "centimeter",
         "m" => "meter",
+        "km" => "kilometer",
         "in" => "inch",
         _ => return None,
     })

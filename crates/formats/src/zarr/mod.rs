@@ -1,8 +1,7 @@
-//! OME-Zarr 0.1 to 0.5 (ngff.openmicroscopy.org) on Zarr 2 and 3: pyramids of chunked arrays, and single arrays. Only
+//! OME-Zarr 0.1 to 0.6 (ngff.openmicroscopy.org) on Zarr 2 and 3: pyramids of chunked arrays, and single arrays. Only
 //! the selected level and region are read.
 
 mod array;
-mod blosc;
 mod boxes;
 mod cache;
 mod chunks;
@@ -16,7 +15,11 @@ mod values;
 mod write;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
+use std::sync::{Arc, mpsc};
+use std::thread;
+use std::time::Duration;
 
 use isinglass_core::volume::MAX_CHANNELS;
 use rayon::prelude::*;
@@ -30,8 +33,9 @@ use self::store::Store;
 use self::values::ArrayValues;
 pub(crate) use self::write::{ArrayWriter, write_document};
 use crate::collector::Collector;
-use crate::error::{FormatError, malformed, not_there};
-use crate::plan::{BoxLevel, Memory, Plan, VolumeFile};
+use crate::error::{FormatError, io_error, malformed, not_there};
+use crate::plan::{BoxLevel, Plan, VolumeFile};
+use crate::pyramid::{level_to_show, warn_of_level};
 use crate::source::OpenOptions;
 use crate::warning::WarningKind;
 use crate::web::WebFolder;
@@ -63,11 +67,37 @@ impl ZarrImage {
         Self::in_store(Store::of_folder(path, options), path, options)
     }
 
-    /// Opens the group or array at an address of the web.
+    /// Opens the group or array at an address of the web. A server may take long for each file, so another thread asks
+    /// it, which nobody waits for after cancelling.
     pub(crate) fn open_web(address: &str, options: &OpenOptions) -> Result<Self, FormatError> {
         let folder = WebFolder::new(address);
         let path = PathBuf::from(folder.address());
-        Self::in_store(Store::of_web(folder)?, &path, options)
+        let (selection, max_bytes) = (options.selection, options.max_bytes);
+        let (sender, receiver) = mpsc::sync_channel(1);
+        let is_cancelled = Arc::new(AtomicBool::new(false));
+        let (theirs, of_thread) = (Arc::clone(&is_cancelled), path.clone());
+        let survey = move || {
+            let cancel = Some(&*theirs);
+            let options = OpenOptions { selection, max_bytes, cancel, ..OpenOptions::default() };
+            let image = Store::of_web(folder).and_then(|store| Self::in_store(store, &of_thread, &options));
+            // Nobody listens after cancelling.
+            let _ = sender.send(image);
+        };
+        let thread = thread::Builder::new().name("survey".into()).spawn(survey);
+        thread.map_err(io_error(&path))?;
+        loop {
+            match receiver.recv_timeout(CANCEL_TIME) {
+                Ok(image) => return image,
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(malformed(&path, "OME-Zarr")("its metadata cannot be read".into()));
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            if let Err(e) = options.check_cancelled(&path) {
+                is_cancelled.store(true, Ordering::Relaxed);
+                return Err(e);
+            }
+        }
     }
 
     fn in_store(store: Store, path: &Path, options: &OpenOptions) -> Result<Self, FormatError> {
@@ -104,24 +134,16 @@ impl ZarrImage {
             levels.map(|level| Array::read(&store, &image.join(&level.path))).collect::<Result<Vec<_>, _>>()
         };
         let arrays = store.on_threads(read)?;
-        let level = match options.selection.level {
-            Some(level) if level as usize >= arrays.len() => {
-                return Err(not_there(path, "level", level.into(), arrays.len()));
-            }
-            Some(level) => level as usize,
-            None if options.selection.region.is_some() => 0,
-            None => arrays.iter().position(|a| fits(a, &multiscale, options)).unwrap_or(arrays.len() - 1),
+        let dims: Vec<[u64; 3]> = arrays.iter().map(|a| multiscale.space_of(&a.shape)).collect();
+        let num_channels = match options.selection.channel {
+            Some(_) => 1,
+            None => multiscale.num_channels(&arrays[0].shape).min(MAX_CHANNELS as u64),
         };
+        let level = level_to_show(path, &dims, num_channels, arrays[0].dtype, options)?;
         let finest = &arrays[0];
         let values = ArrayValues::read(&store, &finest.path, finest.version)?;
         let mut plan = multiscale.plan(&arrays, level, &values).map_err(bad)?;
-        if level > 0 && options.selection.level.is_none() {
-            let text = format!(
-                "level {level} of {} is shown, the finest that fits into memory and a texture",
-                arrays.len()
-            );
-            plan.warn(WarningKind::Choice, text);
-        }
+        warn_of_level(&mut plan, options);
         if series.len() > 1 {
             if options.selection.series.is_none() {
                 plan.warn(
@@ -134,20 +156,6 @@ impl ZarrImage {
         let pyramid = Arc::new(ArrayPyramid { multiscale, arrays, values, store });
         Ok(Self { plan, pyramid, level, most_bytes: options.max_bytes })
     }
-}
-
-/// Whether the channels of a level can be shown as a whole, or the one that is selected.
-fn fits(array: &Array, multiscale: &Multiscale, options: &OpenOptions) -> bool {
-    let dims = multiscale.space_of(&array.shape);
-    let max_side = u64::from(isinglass_core::volume::Volume::MAX_SIDE);
-    let num_channels = match options.selection.channel {
-        Some(_) => 1,
-        None => multiscale.num_channels(&array.shape).min(MAX_CHANNELS as u64),
-    };
-    let num_voxels = dims.iter().try_fold(1u64, |n, d| n.checked_mul(*d));
-    let memory = |num_voxels| Memory { num_voxels, dtype: array.dtype, is_permuted: false };
-    dims.iter().all(|d| *d <= max_side)
-        && num_voxels.is_some_and(|n| memory(n).needed(num_channels) <= options.max_bytes)
 }
 
 impl VolumeFile for ZarrImage {
@@ -196,3 +204,5 @@ impl VolumeFile for ZarrImage {
 
 /// The files that describe arrays and groups.
 const METADATA: [&str; 4] = [".zattrs", ".zgroup", ".zarray", "zarr.json"];
+/// How long it takes at most until a survey ends after cancelling.
+const CANCEL_TIME: Duration = Duration::from_millis(50);

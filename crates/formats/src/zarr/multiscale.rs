@@ -15,9 +15,9 @@ use crate::axes::{Geometry, World};
 use crate::error::{FormatError, malformed, quoted};
 use crate::levels::LevelGrid;
 use crate::outline::Level;
-use crate::plan::{Axis, ChannelLook, Plan, Role};
+use crate::plan::{Axis, AxisKind, ChannelLook, Plan, Role};
+use crate::pyramid::put_in_finest;
 use crate::units::{length_unit, time_step, time_unit};
-use crate::warning::WarningKind;
 
 /// An image of several levels.
 pub(super) struct Multiscale {
@@ -69,14 +69,6 @@ struct NamedAxis {
     toward: Option<DVec3>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum AxisKind {
-    /// The axis x, y or z.
-    Space(usize),
-    Channel,
-    Time,
-}
-
 /// The array of a level and its transformation.
 pub(super) struct LevelPath {
     pub(super) path: PathBuf,
@@ -106,7 +98,8 @@ impl Multiscale {
         let text = |v: Option<&Value>| v.and_then(Value::as_str).map(str::to_owned);
         let version =
             text(attributes.get("version")).or_else(|| text(image.get("version"))).unwrap_or_default();
-        let axes = match image["axes"].as_array() {
+        let system = coordinate_system(image);
+        let axes = match system.unwrap_or(image)["axes"].as_array() {
             Some(list) if list.len() <= 8 => list.iter().map(NamedAxis::of).collect::<Result<Vec<_>, _>>()?,
             Some(list) => return Err(format!("it has {} axes, expected two to five", list.len())),
             // Versions before 0.3 always have five axes.
@@ -125,7 +118,9 @@ impl Multiscale {
         }
         let datasets = image["datasets"].as_array().filter(|l| (1..=MAX_LEVELS).contains(&l.len()));
         let datasets = datasets.ok_or_else(|| format!("it has no datasets, expected 1 to {MAX_LEVELS}"))?;
-        let all = Transform::of(image.get("coordinateTransformations"), axes.len())?;
+        // From version 0.6 on, these lead to other systems.
+        let to_all = image.get("coordinateTransformations").filter(|_| system.is_none());
+        let all = Transform::of(to_all, axes.len())?;
         let all = all.unwrap_or_else(|| Transform::none(axes.len()));
         let mut levels = Vec::new();
         for dataset in datasets {
@@ -302,7 +297,7 @@ impl Multiscale {
         let look = |look: &ChannelLook| ChannelLook { window: look.window.map(in_values), ..*look };
         plan.channel_looks = self.looks.iter().map(look).collect();
         plan.value_map = values.map;
-        plan.padding = values.missing;
+        plan.missing.values.extend(values.missing);
         plan.value_unit.clone_from(&values.unit);
         plan.modality.clone_from(&self.own.modality);
         if self.is_image && self.labels.is_none() {
@@ -314,12 +309,7 @@ impl Multiscale {
         plan.time_step = in_time.and_then(|(axis, scale)| time_step(scale * axis.seconds?));
         plan.level = level;
         if level > 0 {
-            let dims = [0, 1, 2].map(|i| plan.size(Role::Space(i)));
-            plan.in_finest = in_finest.is_alike(dims).then_some(in_finest);
-            if plan.in_finest.is_none() {
-                let text = format!("level {level} lies elsewhere than level 0, so it looks different");
-                plan.warn(WarningKind::Data, text);
-            }
+            put_in_finest(&mut plan, in_finest);
         }
         if arrays.len() > 1 {
             let spacing = |place: &Transform, k: usize| {
@@ -346,6 +336,15 @@ impl Multiscale {
         }
         Ok(plan)
     }
+}
+
+/// The system of coordinates into which the levels are transformed; `None` before version 0.6.
+fn coordinate_system(image: &Value) -> Option<&Value> {
+    let systems = image["coordinateSystems"].as_array()?;
+    let output = &image["datasets"][0]["coordinateTransformations"][0]["output"];
+    let name = output["name"].as_str().or(output.as_str());
+    let named = systems.iter().find(|system| name.is_some() && system["name"].as_str() == name);
+    named.or(systems.first())
 }
 
 /// What an `image-label` says about its labels; `None` if there is none.
@@ -437,28 +436,38 @@ impl Transform {
     fn of(value: Option<&Value>, num_axes: usize) -> Result<Option<Self>, String> {
         let mut all = None;
         for step in value.and_then(Value::as_array).into_iter().flatten() {
-            let kind = step["type"].as_str().unwrap_or_default();
-            let numbers = || {
-                let list: Option<Vec<f64>> = step.get(kind)?.as_array()?.iter().map(Value::as_f64).collect();
-                list.filter(|l| l.len() == num_axes)
-            };
-            let mut next = Self::none(num_axes);
-            let field = match kind {
-                "identity" => continue,
-                "scale" => &mut next.scale,
-                "translation" => &mut next.translation,
-                _ => {
-                    return Err(format!(
-                        "a transformation is {}, expected scale or translation",
-                        quoted(kind)
-                    ));
+            // A sequence has no sequences in it.
+            match step["type"].as_str() {
+                Some("sequence") => {
+                    let steps = step["transformations"].as_array().into_iter().flatten();
+                    steps.into_iter().try_for_each(|step| Self::add(&mut all, step, num_axes))?;
                 }
-            };
-            let problem = || format!("{kind} is {}, expected {num_axes} numbers", quoted(&step.to_string()));
-            *field = numbers().ok_or_else(problem)?;
-            all = Some(all.unwrap_or_else(|| Self::none(num_axes)).then(&next));
+                _ => Self::add(&mut all, step, num_axes)?,
+            }
         }
         Ok(all)
+    }
+
+    /// Adds one transformation after the others.
+    fn add(all: &mut Option<Self>, step: &Value, num_axes: usize) -> Result<(), String> {
+        let kind = step["type"].as_str().unwrap_or_default();
+        let numbers = || {
+            let list: Option<Vec<f64>> = step.get(kind)?.as_array()?.iter().map(Value::as_f64).collect();
+            list.filter(|l| l.len() == num_axes)
+        };
+        let mut next = Self::none(num_axes);
+        let field = match kind {
+            "identity" => return Ok(()),
+            "scale" => &mut next.scale,
+            "translation" => &mut next.translation,
+            _ => {
+                return Err(format!("a transformation is {}, expected scale or translation", quoted(kind)));
+            }
+        };
+        let problem = || format!("{kind} is {}, expected {num_axes} numbers", quoted(&step.to_string()));
+        *field = numbers().ok_or_else(problem)?;
+        *all = Some(all.take().unwrap_or_else(|| Self::none(num_axes)).then(&next));
+        Ok(())
     }
 }
 

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::blosc;
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
+use crate::unpack::blosc;
 
 /// An array with axes t, c, z, y and x, of which t and c may be missing.
 #[derive(Clone, Debug)]

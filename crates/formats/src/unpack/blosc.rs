@@ -4,13 +4,14 @@ use std::io::Read;
 
 use flate2::bufread::ZlibDecoder;
 
-use super::codec::unpack_zstd;
+use super::shuffle::{bit_unshuffled, shuffled, unshuffled};
+use super::unpack_zstd;
 use crate::dtype::Endian;
 use crate::error::quoted;
 use crate::header_bytes::HeaderBytes;
 
 /// Decodes a container, to at most `most` bytes.
-pub(super) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
+pub(crate) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
     if bytes.len() < HEADER_BYTES {
         return Err("a blosc container ends within its header".into());
     }
@@ -66,7 +67,7 @@ pub(super) fn decode(bytes: &[u8], most: usize) -> Result<Vec<u8>, String> {
 }
 
 /// Encodes numbers of `type_size` bytes in a container of one block, shuffled and packed by zstd.
-pub(super) fn encode(bytes: &[u8], type_size: usize) -> Result<Vec<u8>, String> {
+pub(crate) fn encode(bytes: &[u8], type_size: usize) -> Result<Vec<u8>, String> {
     let size =
         |n: usize| u32::try_from(n).map_err(|_| format!("a chunk of {n} bytes, expected fewer than 4 GiB"));
     let shuffled = if type_size > 1 { Some(shuffled(bytes, type_size)) } else { None };
@@ -93,18 +94,6 @@ pub(super) fn encode(bytes: &[u8], type_size: usize) -> Result<Vec<u8>, String> 
         out.extend_from_slice(bytes);
     }
     Ok(out)
-}
-
-/// The byte shuffle: all first bytes before all second ones.
-fn shuffled(bytes: &[u8], type_size: usize) -> Vec<u8> {
-    let n = bytes.len() / type_size;
-    let mut out = bytes.to_vec();
-    for (byte, plane) in out.chunks_exact_mut(n.max(1)).take(type_size).enumerate() {
-        for (to, number) in plane.iter_mut().zip(bytes.chunks_exact(type_size)) {
-            *to = number[byte];
-        }
-    }
-    out
 }
 
 /// Decodes a stream and appends its `size` bytes to `out`.
@@ -134,35 +123,6 @@ fn stream(packed: &[u8], size: usize, coder: u8, out: &mut Vec<u8>) -> Result<()
     } else {
         Err(format!("a blosc stream has {} bytes, expected {size}", out.len() - start))
     }
-}
-
-/// Undoes the byte shuffle, which puts all first bytes before all second ones. Bytes that are left over stay.
-fn unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
-    let n = block.len() / type_size;
-    let mut out = block.to_vec();
-    for (byte, plane) in block.chunks_exact(n.max(1)).take(type_size).enumerate() {
-        for (i, b) in plane.iter().enumerate().take(n) {
-            out[i * type_size + byte] = *b;
-        }
-    }
-    out
-}
-
-/// Undoes the bit shuffle, which does the same with bits of eight numbers. Numbers beyond a multiple of eight stay.
-fn bit_unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
-    let n = block.len() / type_size / 8 * 8;
-    let mut out = block.to_vec();
-    out[..n * type_size].fill(0);
-    for (row, plane) in
-        block.chunks_exact((n / 8).max(1)).take(if n > 0 { type_size * 8 } else { 0 }).enumerate()
-    {
-        let (byte, bit) = (row / 8, row % 8);
-        for i in 0..n {
-            let value = plane[i / 8] >> (i % 8) & 1;
-            out[i * type_size + byte] |= value << bit;
-        }
-    }
-    out
 }
 
 /// The version of the format and of its zstd streams.
