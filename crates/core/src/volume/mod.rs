@@ -37,5 +37,5 @@ pub use pyramid::{
     Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageRanges, PageSource, PageVoxels,
     Paging, Pyramid, PyramidLevel, VoxelKind,
 };
-pub use residency::{PagePlan, PageProgress, PageView, PlanKey, Residency, TRIES};
+pub use residency::{PagePlan, PageProgress, PageView, PlanKey, Residency};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};

@@ -335,7 +335,7 @@ impl Residency {
     }
 
     /// The page to read next. It counts as being read until `insert` or `fail`.
-    pub fn next(&mut self) -> Option<PageId> {
+    pub fn take_next(&mut self) -> Option<PageId> {
         if self.resident.len() + self.reading.len() >= self.max_pages {
             return None;
         }
@@ -455,4 +455,4 @@ const BEHIND: f32 = 1e-3;
 /// Pages that are in memory while others replace them: the parts of one page over two levels.
 const SLACK: usize = 64;
 /// Times that a page is read before it is given up.
-pub const TRIES: u8 = 3;
+const TRIES: u8 = 3;
