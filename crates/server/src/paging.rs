@@ -35,12 +35,12 @@ impl FramePages {
 /// Reads pages on threads of its own, which end with the last clone.
 #[derive(Clone)]
 pub struct Pager {
-    shared: Arc<Shared>,
+    shared: Arc<PagerThreads>,
     /// Ends the threads when the last pager is dropped.
     _ending: Arc<Ending>,
 }
 
-struct Shared {
+struct PagerThreads {
     source: Arc<dyn PageSource>,
     ranges: Option<Arc<dyn PageRanges>>,
     num_channels: usize,
@@ -60,7 +60,7 @@ struct State {
     is_over: bool,
 }
 
-struct Ending(Arc<Shared>);
+struct Ending(Arc<PagerThreads>);
 
 impl Drop for Ending {
     fn drop(&mut self) {
@@ -96,7 +96,7 @@ impl Pager {
         let max_pages = (max_bytes / page_bytes) as usize;
         let residency = Residency::new(pyramid, pages.clone(), max_pages.saturating_sub(pages.len()));
         let (views, seen, sets, is_over) = (HashMap::new(), Vec::new(), HashMap::new(), false);
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(PagerThreads {
             source,
             ranges,
             num_channels,
@@ -199,7 +199,7 @@ impl Pager {
     }
 }
 
-impl Shared {
+impl PagerThreads {
     fn state(&self) -> MutexGuard<'_, State> {
         // Every change is one call of the residency, so a panic leaves it in order.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
