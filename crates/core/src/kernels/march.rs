@@ -31,7 +31,7 @@ use self::mixed::{MIXED, MixedChannel};
 use self::modes::{Collected, SURFACES, SamplePair};
 pub use self::scene::{ChannelFacts, MarchedChannel, Scene};
 use self::skipper::{Skipper, VisibleBins};
-use self::surfaces::Thicken;
+pub(crate) use self::surfaces::Thicken;
 use crate::camera::Camera;
 use crate::clip::Clip;
 use crate::layer::Over;
@@ -41,7 +41,7 @@ use crate::simd::has_avx2;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferTable};
 pub use crate::volume::Shading;
-use crate::volume::{Detail, Lighting, Lit};
+use crate::volume::{Detail, Lighting, Lit, PointLine};
 
 /// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,14 +79,17 @@ impl MarchSettings {
     }
 }
 
-/// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n.
+/// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n. A part of a lattice has the steps
+/// from `first` on, and an earlier end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lattice {
     /// Distance of the first point.
     pub s0: f32,
     /// Step length.
     pub h: f32,
-    /// Number of steps, at least 1.
+    /// The first step that is marched: 0 but for a part.
+    pub first: u32,
+    /// Number of steps, at least 1; of a part, the end of its last step.
     pub n: u32,
     /// The unit of length for merging errors: about the least step of all rays, in any direction.
     pub unit: f32,
@@ -174,6 +177,7 @@ pub struct Marcher<'a, T> {
     pub(crate) key_limit: f32,
     voxel_from_world: Vec3,
     half_dims: Vec3,
+    first_brick: Vec3,
     max_brick: Vec3,
     has_avx2: bool,
 }
@@ -181,21 +185,23 @@ pub struct Marcher<'a, T> {
 impl<'a, T: Texels> Marcher<'a, T> {
     /// `texels` are the voxels of `scene`.
     pub fn new(scene: &'a Scene, texels: T) -> Self {
-        let dims = scene.volume.dims();
+        let (dims, first) = (scene.volume.dims(), scene.volume.first());
         let [bx, by, bz] = scene.occupancy.dims;
+        let first_brick = Vec3::from(scene.occupancy.first.map(|b| b as f32));
         let lit = scene.illumination.lit();
         Self {
             scene,
-            voxels: Grid::new(texels, dims),
-            lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims), &**lit)),
+            voxels: Grid::new(texels, dims, first),
+            lit: lit.map(|lit| (Grid::new(&lit.shares[..], dims, first), &**lit)),
             highlight: scene.highlight(),
             channels: MixedChannel::all(scene),
-            gaps: scene.volume.gaps().map(|gaps| Grid::new(&gaps.bytes[..], dims)),
+            gaps: scene.volume.gaps().map(|gaps| Grid::new(&gaps.bytes[..], dims, first)),
             visible_bins: VisibleBins::of(&scene.table),
             key_limit: modes::key_limit(scene.settings.mode, &scene.table),
             voxel_from_world: scene.volume.spacing().recip(),
-            half_dims: scene.volume.dims_f32() * 0.5,
-            max_brick: Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
+            half_dims: scene.volume.world().dims_f32() * 0.5,
+            first_brick,
+            max_brick: first_brick + Vec3::new(bx as f32 - 1.0, by as f32 - 1.0, bz as f32 - 1.0),
             has_avx2: has_avx2(),
         }
     }
@@ -209,10 +215,27 @@ impl<'a, T: Texels> Marcher<'a, T> {
         if self.scene.settings.mode != Mode::Iso {
             return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);
         }
-        let voxel = self.scene.volume.spacing().min_element();
-        let mut thicken = Thicken::new(sink, lattice, voxel, self.scene.has_lesser_bodies);
-        self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut thicken);
+        let mut thicken = self.thicken(lattice, sink);
+        self.crossings(ray, lattice, &mut thicken);
         thicken.finish();
+    }
+
+    /// Marches to surfaces without thickness. A crossing ends at infinity: at +∞ if values rise there, or else at −∞.
+    pub(crate) fn crossings(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, sink);
+    }
+
+    /// Gives thickness to the crossings of a ray with this whole lattice.
+    pub(crate) fn thicken<'s, S: Sink>(&self, lattice: Lattice, sink: &'s mut S) -> Thicken<'s, S> {
+        let voxel = self.scene.volume.spacing().min_element();
+        Thicken::new(sink, lattice, voxel, self.scene.has_lesser_bodies)
+    }
+
+    /// The lattice points of a ray in the voxel space of the whole volume, by the march's own arithmetic.
+    pub(crate) fn point_line(&self, ray: &Ray, lattice: Lattice) -> PointLine {
+        let origin = ray.origin * self.voxel_from_world + self.half_dims;
+        let dir = safe_dir(ray.dir) * self.voxel_from_world;
+        PointLine { origin, dir, s0: lattice.s0, h: lattice.h }
     }
 
     /// The same for a projection, with steps as in [`modes::Values`].
@@ -251,13 +274,13 @@ impl<'a, T: Texels> Marcher<'a, T> {
         if MODE == MIXED {
             return self.march_channels(ray, lattice, sink);
         }
-        let Lattice { s0, h, n, .. } = lattice;
+        let Lattice { s0, h, first, n, .. } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
         let voxel_ray =
             VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, self.highlight.as_ref());
         let dir = voxel_ray.dir;
         let skipper = Skipper::new(self, origin, dir, lattice);
-        let mut i = 0;
+        let mut i = first;
         let mut stride = 1;
         // Domain position of the last sample, if that was lattice point i.
         let mut x_front = None;
@@ -327,19 +350,27 @@ impl<'a, T: Texels> Marcher<'a, T> {
     /// `stop_at`.
     pub(crate) fn seen(&self, ray: &Ray, near: f32, stop_at: f32) -> [f32; 4] {
         let Some(lattice) = self.scene.lattice(ray, near) else { return [0.0; 4] };
+        let seen = self.seen_in(ray, lattice, stop_at);
+        self.scene.seen_of_parts(lattice, std::iter::once(seen))
+    }
+
+    /// What is seen along a lattice or a part of one: premultiplied colour and transmittance, or what a projection
+    /// collects.
+    pub(crate) fn seen_in(&self, ray: &Ray, lattice: Lattice, stop_at: f32) -> [f32; 4] {
         if self.scene.settings.mode.is_projection() {
             let mut shown = Collected::new(self.scene);
             self.project(ray, lattice, &mut shown);
-            return shown.rgba(lattice);
+            return shown.numbers();
         }
         let mut sink = OverSink { over: Over::default(), stop_at };
         // A picture needs no thickness of surfaces.
         if self.scene.settings.mode == Mode::Iso {
-            self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut sink);
+            self.crossings(ray, lattice, &mut sink);
         } else {
             self.march(ray, lattice, &mut sink);
         }
-        sink.over.rgba()
+        let Over { c, transmittance } = sink.over;
+        [c.x, c.y, c.z, transmittance]
     }
 
     /// Colour (not premultiplied) and optical depth of a step of length `h` between the domain positions `x0`, `x1`.

@@ -16,19 +16,27 @@ pub const BRICK: u32 = 8;
 #[derive(Clone, Debug)]
 pub struct Bricks {
     dims: [u32; 3],
+    first: [u32; 3],
     ranges: Vec<(f32, f32)>,
 }
 
 impl Bricks {
     /// Reads the whole volume once, in parallel.
     pub fn of(volume: &Volume) -> Self {
-        let dims = volume.dims().map(|d| d.div_ceil(BRICK));
+        // Of a part, only the bricks with any of its voxels; they lie as those of the whole.
+        let first = volume.first().map(|voxel| voxel / BRICK);
+        let dims =
+            [0, 1, 2].map(|axis| (volume.first()[axis] + volume.dims()[axis]).div_ceil(BRICK) - first[axis]);
         let [bx, by, bz] = dims;
-        let ranges = (0..bx * by * bz)
+        let ranges = (0..bx as usize * by as usize * bz as usize)
             .into_par_iter()
-            .map(|i| brick_range(volume, [i % bx, i / bx % by, i / bx / by]))
+            .map(|i| {
+                let (x, rest) = (i % bx as usize, i / bx as usize);
+                let at = [x, rest % by as usize, rest / by as usize];
+                brick_range(volume, [0, 1, 2].map(|axis| first[axis] + at[axis] as u32))
+            })
             .collect();
-        Self { dims, ranges }
+        Self { dims, first, ranges }
     }
 
     /// Bricks along x, y, z.
@@ -43,13 +51,15 @@ impl Bricks {
 
     /// The bricks that one of several channels with the same grid leaves visible.
     pub fn occupancy_of_channels(channels: &[(&Self, &TransferTable)]) -> Occupancy {
-        let dims = channels.first().map_or([0; 3], |(first, _)| first.dims);
+        let (dims, at) = channels.first().map_or(([0; 3], [0; 3]), |(first, _)| (first.dims, first.first));
         let num = dims.iter().map(|&n| n as usize).product::<usize>();
         let is_visible = |(bricks, table): &(&Self, &TransferTable), i: usize| {
             let (lo, hi) = bricks.ranges[i];
             table.is_visible(lo, hi)
         };
-        Occupancy::of(dims, (0..num).map(|i| channels.iter().any(|channel| is_visible(channel, i))))
+        let found =
+            Occupancy::of(dims, (0..num).map(|i| channels.iter().any(|channel| is_visible(channel, i))));
+        Occupancy { first: at, ..found }
     }
 
     /// The bricks for which `is_visible` holds, given their least and greatest stored number. Where a rendering looks
@@ -61,7 +71,7 @@ impl Bricks {
     ) -> Occupancy {
         let visible = self.ranges.iter().map(|&(lo, hi)| is_visible(lo, hi));
         let peaks = self.ranges.iter().map_while(|&(lo, hi)| peak(lo, hi)).map(peak_code);
-        Occupancy { peaks: in_words(peaks), ..Occupancy::of(self.dims, visible) }
+        Occupancy { first: self.first, peaks: in_words(peaks), ..Occupancy::of(self.dims, visible) }
     }
 }
 
@@ -73,6 +83,8 @@ impl Bricks {
 pub struct Occupancy {
     /// Bricks along x, y, z.
     pub dims: [u32; 3],
+    /// The first brick: 0 but for a part of a volume.
+    pub first: [u32; 3],
     /// The distances, 0 for a visible brick and at most `DISTANCE_MAX`, four per word, lowest byte first.
     pub words: Vec<u32>,
     /// Upper bounds of the keys in each brick, in units of 1/[`PEAK_MAX`], four per word, lowest byte first. Empty
@@ -115,13 +127,13 @@ impl Occupancy {
                 distances[here] = least;
             }
         }
-        Self { dims, words: in_words(distances.into_iter()), peaks: Vec::new() }
+        Self { dims, first: [0; 3], words: in_words(distances.into_iter()), peaks: Vec::new() }
     }
 
     /// All bricks visible: the negative control of empty-space skipping.
     pub fn full(dims: [u32; 3]) -> Self {
         let n = dims.iter().map(|&d| d as usize).product::<usize>();
-        Self { dims, words: vec![0; n.div_ceil(4)], peaks: Vec::new() }
+        Self { dims, first: [0; 3], words: vec![0; n.div_ceil(4)], peaks: Vec::new() }
     }
 
     /// Distance from brick (x, y, z), which must exist, to the nearest visible one: 0 if it is visible itself, at
@@ -163,10 +175,11 @@ fn in_words(bytes: impl Iterator<Item = u8>) -> Vec<u32> {
 }
 
 fn brick_range(volume: &Volume, b: [u32; 3]) -> (f32, f32) {
-    let dims = volume.dims();
+    let (dims, first) = (volume.dims(), volume.first());
     let span = |axis: usize| {
-        let start = (b[axis] * BRICK).saturating_sub(1) as usize;
-        start..((b[axis] + 1) * BRICK + 1).min(dims[axis]) as usize
+        let start = (b[axis] * BRICK).saturating_sub(1).max(first[axis]);
+        let end = ((b[axis] + 1) * BRICK + 1).min(first[axis] + dims[axis]);
+        (start - first[axis]) as usize..(end - first[axis]) as usize
     };
     let (nx, ny) = (dims[0] as usize, dims[1] as usize);
     let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);

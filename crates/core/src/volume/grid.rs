@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::gaps::{self, VoxelGaps};
+use super::world::Whole;
 pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
@@ -140,6 +141,7 @@ pub struct Volume {
     /// See [`Volume::others`].
     others: Vec<Arc<Volume>>,
     gaps: Option<Arc<VoxelGaps>>,
+    whole: Option<Arc<Whole>>,
     /// Name, type and remarks.
     pub info: VolumeInfo,
 }
@@ -243,8 +245,8 @@ impl Volume {
                 offset: value_offset,
             });
         }
-        let (others, gaps) = (Vec::new(), None);
-        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, others, gaps, info })
+        let (others, gaps, whole) = (Vec::new(), None, None);
+        Ok(Self { dims, spacing, voxels, value_scale, value_offset, stored_range, others, gaps, whole, info })
     }
 
     /// The volume with nothing in the voxels whose byte is not 0, one for each voxel, x fastest. They are neither
@@ -286,6 +288,27 @@ impl Volume {
         &self.others
     }
 
+    /// The volume as a part of a whole, from which its box, its range and its histogram are taken.
+    ///
+    /// # Errors
+    /// If the part does not lie inside the whole.
+    pub fn in_whole(mut self, whole: Arc<Whole>) -> Result<Self, VolumeError> {
+        let is_inside = |axis: usize| {
+            whole.first[axis].checked_add(self.dims[axis]).is_some_and(|end| end <= whole.dims[axis])
+        };
+        if !(0..3).all(is_inside) {
+            return Err(VolumeError::Channels(self.dims, whole.dims));
+        }
+        self.stored_range = whole.stored_range;
+        self.whole = Some(whole);
+        Ok(self)
+    }
+
+    /// The whole that this volume is a part of; `None` if it is one itself.
+    pub fn whole(&self) -> Option<&Arc<Whole>> {
+        self.whole.as_ref()
+    }
+
     /// All channels, this one first.
     pub fn channels(&self) -> impl Iterator<Item = &Volume> {
         std::iter::once(self).chain(self.others.iter().map(AsRef::as_ref))
@@ -311,10 +334,10 @@ impl Volume {
         &self.voxels
     }
 
-    /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres).
+    /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres). For a part
+    /// it is the box of the whole.
     pub fn bounds(&self) -> Aabb {
-        let half = self.dims_f32() * self.spacing * 0.5;
-        Aabb { min: -half, max: half }
+        self.world().bounds()
     }
 
     /// The dimensions as floats.

@@ -16,9 +16,11 @@ mod opacities;
 pub mod procedural;
 mod shade;
 mod slice;
+mod split;
+mod world;
 
 pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
-pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
+pub use extinction::{Detail, Matter, Sheet, are_lesser_bodies, area_above, has_lesser_bodies};
 pub use gaps::VoxelGaps;
 pub use grid::{ChannelInfo, MAX_CHANNELS, Placement, Volume, VolumeError, VolumeInfo, VolumeLabel, Voxels};
 pub use histogram::{Histogram, parting_value};
@@ -30,3 +32,5 @@ pub use lighting::{
 pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use opacities::{opacity_table, opacity_volume};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};
+pub use split::{GHOSTS, PointLine, Split, SplitError};
+pub use world::{VoxelBox, Whole, World, sample_places};

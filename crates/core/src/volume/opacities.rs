@@ -26,7 +26,11 @@ pub fn opacity_volume(channels: &[(&Volume, &TransferTable)], blend: Blend) -> O
             slice.iter_mut().zip(gaps).filter(|(_, gap)| **gap != 0).for_each(|(code, _)| *code = 0);
         }
     });
-    Volume::new(first.dims(), first.spacing(), Voxels::U8(codes), (1.0, 0.0), Default::default()).ok()
+    let made = Volume::new(first.dims(), first.spacing(), Voxels::U8(codes), (1.0, 0.0), Default::default());
+    match first.whole() {
+        Some(whole) => made.and_then(|made| made.in_whole(whole.clone())).ok(),
+        None => made.ok(),
+    }
 }
 
 /// The table by which an [`opacity_volume`] attenuates light.

@@ -97,8 +97,11 @@ impl Texels for &[f32] {
 pub(super) struct Grid<T> {
     texels: T,
     strides: [u32; 3],
-    /// Coordinates of the last centre.
+    /// Coordinates of the first and the last centre. The first is 0 but for a part of a volume.
+    first: [f32; 3],
     last: [f32; 3],
+    /// Index that the first texel would have in a grid from 0 on.
+    base: usize,
     /// Greatest first corner of a cell.
     greatest: [i32; 3],
     /// Whether every cell has two texels along each axis, at 32-bit indices.
@@ -106,14 +109,18 @@ pub(super) struct Grid<T> {
 }
 
 impl<T: Texels> Grid<T> {
-    /// Wraps `texels` of a grid of `dims`.
-    pub(super) fn new(texels: T, dims: [u32; 3]) -> Self {
+    /// Wraps `texels` of a grid of `dims` whose first one has the coordinates `first`.
+    pub(super) fn new(texels: T, dims: [u32; 3], first: [u32; 3]) -> Self {
         let has_lanes = texels.count() <= u32::MAX as usize && dims.iter().all(|&d| d > 1);
+        let strides = [1, dims[0], dims[0] * dims[1]];
+        let last = |axis: usize| first[axis] + dims[axis] - 1;
         Self {
             texels,
-            strides: [1, dims[0], dims[0] * dims[1]],
-            last: dims.map(|d| d as f32 - 1.0),
-            greatest: dims.map(|d| d.saturating_sub(2) as i32),
+            strides,
+            first: first.map(|first| first as f32),
+            last: [0, 1, 2].map(|axis| last(axis) as f32),
+            base: (0..3).map(|axis| first[axis] as usize * strides[axis] as usize).sum(),
+            greatest: [0, 1, 2].map(|axis| last(axis).saturating_sub(1).max(first[axis]) as i32),
             has_lanes,
         }
     }
@@ -125,7 +132,8 @@ impl<T: Texels> Grid<T> {
         let (cz, tz) = self.cell(2, p.z);
         let v = |dx: usize, dy: usize, dz: usize| {
             let at = |axis: usize, i: usize| (i).min(self.last[axis] as usize) * self.strides[axis] as usize;
-            self.texels.at(at(2, cz as usize + dz) + at(1, cy as usize + dy) + at(0, cx as usize + dx))
+            let i = at(2, cz as usize + dz) + at(1, cy as usize + dy) + at(0, cx as usize + dx);
+            self.texels.at(i - self.base)
         };
         let x00 = mix(v(0, 0, 0), v(1, 0, 0), tx);
         let x10 = mix(v(0, 1, 0), v(1, 1, 0), tx);
@@ -137,8 +145,10 @@ impl<T: Texels> Grid<T> {
     /// The value of the voxel around a point in voxel space.
     #[inline(always)]
     pub(super) fn nearest(&self, p: Vec3) -> f32 {
-        let at = |axis: usize| (p[axis].max(0.0).min(self.last[axis])) as usize * self.strides[axis] as usize;
-        self.texels.at(at(2) + at(1) + at(0))
+        let at = |axis: usize| {
+            (p[axis].max(self.first[axis]).min(self.last[axis])) as usize * self.strides[axis] as usize
+        };
+        self.texels.at(at(2) + at(1) + at(0) - self.base)
     }
 
     /// One bit per step, set where the voxels around both ends have the value 0.
@@ -161,10 +171,11 @@ impl<T: Texels> Grid<T> {
         let (cx, tx) = self.cells(0, origin.x, dir.x, s);
         let (cy, ty) = self.cells(1, origin.y, dir.y, s);
         let (cz, tz) = self.cells(2, origin.z, dir.z, s);
-        let [_, sy, sz] = self.strides;
+        let ([_, sy, sz], base) = (self.strides, self.base as u32);
         let mut at = [0u32; LANES];
         for m in 0..LANES {
-            at[m] = cz[m].wrapping_mul(sz).wrapping_add(cy[m].wrapping_mul(sy)).wrapping_add(cx[m]);
+            let i = cz[m].wrapping_mul(sz).wrapping_add(cy[m].wrapping_mul(sy)).wrapping_add(cx[m]);
+            at[m] = i.wrapping_sub(base);
         }
         let x00 = self.rows(&at, 0, &tx);
         let x10 = self.rows(&at, sy, &tx);
@@ -208,7 +219,7 @@ impl<T: Texels> Grid<T> {
     fn cell(&self, axis: usize, p: f32) -> (i32, f32) {
         // The clamp continues the nearest face, and bounds the points of a very distant eye.
         let u = p - 0.5;
-        let u = if u > 0.0 { u } else { 0.0 };
+        let u = if u > self.first[axis] { u } else { self.first[axis] };
         let u = if u < self.last[axis] { u } else { self.last[axis] };
         let corner = (u as i32).min(self.greatest[axis]);
         (corner, u - corner as f32)
@@ -240,7 +251,7 @@ mod tests {
 
     /// Compares bits along rays through and beside the grid, and from an eye so far away that nothing is left of it.
     fn agree<T: Texels>(texels: T, dims: [u32; 3]) {
-        let grid = Grid::new(texels, dims);
+        let grid = Grid::new(texels, dims, [0; 3]);
         let mut seen = std::collections::BTreeSet::new();
         for (origin, dir, first) in [
             (Vec3::new(-1.0, 0.3, 7.1), Vec3::new(0.61, 0.27, -0.43), 0.0),

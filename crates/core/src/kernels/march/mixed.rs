@@ -46,11 +46,11 @@ impl<'a> MixedChannel<'a> {
     }
 
     fn new((volume, table): (&'a Volume, &'a TransferTable)) -> Self {
-        let dims = volume.dims();
+        let (dims, first) = (volume.dims(), volume.first());
         let texels = match volume.voxels() {
-            Voxels::U8(v) => AnyGrid::U8(Grid::new(v, dims)),
-            Voxels::U16(v) => AnyGrid::U16(Grid::new(v, dims)),
-            Voxels::F32(v) => AnyGrid::F32(Grid::new(v, dims)),
+            Voxels::U8(v) => AnyGrid::U8(Grid::new(v, dims, first)),
+            Voxels::U16(v) => AnyGrid::U16(Grid::new(v, dims, first)),
+            Voxels::F32(v) => AnyGrid::F32(Grid::new(v, dims, first)),
         };
         Self { texels, table, visible_bins: VisibleBins::of(table) }
     }
@@ -120,13 +120,13 @@ impl<T: Texels> Marcher<'_, T> {
     /// Marches all channels together, [`LANES`] steps at once like the march of one channel.
     #[inline(always)]
     pub(super) fn march_channels(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
-        let Lattice { s0, h, n, .. } = lattice;
+        let Lattice { s0, h, first, n, .. } = lattice;
         let origin = ray.origin * self.voxel_from_world + self.half_dims;
         let voxel_ray = VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, None);
         let dir = voxel_ray.dir;
         let skipper = Skipper::new(self, origin, dir, lattice);
         let mut positions = [[[0.0; LANES]; 2]; MAX_CHANNELS];
-        let (mut i, mut stride) = (0, 1);
+        let (mut i, mut stride) = (first, 1);
         'batch: while i < n {
             i = skipper.skip(i, stride, -1.0);
             if i >= n {

@@ -246,7 +246,7 @@ impl Scene {
         let step_in_world = self.settings.step_in_voxels * self.volume.spacing().min_element();
         let n = ((s1 - s0) / step_in_world * share).ceil().clamp(1.0, MAX_STEPS);
         let h = (s1 - s0) / n;
-        Some(Lattice { s0, h, n: n as u32, unit: h * share })
+        Some(Lattice { s0, h, first: 0, n: n as u32, unit: h * share })
     }
 }
 

@@ -10,6 +10,7 @@ use crate::volume::{BRICK, Occupancy};
 /// Skips invisible bricks along one ray.
 pub(super) struct Skipper<'a> {
     occupancy: &'a Occupancy,
+    first_brick: Vec3,
     max_brick: Vec3,
     origin: Vec3,
     dir: Vec3,
@@ -26,6 +27,7 @@ impl<'a> Skipper<'a> {
         let step = dir.abs().max_element() * lattice.h;
         Self {
             occupancy: &marcher.scene.occupancy,
+            first_brick: marcher.first_brick,
             max_brick: marcher.max_brick,
             origin,
             dir,
@@ -70,13 +72,14 @@ impl<'a> Skipper<'a> {
     #[inline(always)]
     fn brick_at(&self, i: u32, least: f32) -> (Vec3, u32) {
         let p = self.origin + self.dir * (self.lattice.s0 + i as f32 * self.lattice.h);
-        let brick = (p * (1.0 / BRICK as f32)).clamp(Vec3::ZERO, self.max_brick);
-        let [x, y, z] = [brick.x as u32, brick.y as u32, brick.z as u32];
+        let brick = (p * (1.0 / BRICK as f32)).clamp(self.first_brick, self.max_brick);
+        let at = brick - self.first_brick;
+        let [x, y, z] = [at.x as u32, at.y as u32, at.z as u32];
         let mut empty = self.occupancy.distance(x, y, z);
         if empty == 0 && least >= 0.0 && self.occupancy.is_beaten(x, y, z, least) {
             empty = 1;
         }
-        (Vec3::new(x as f32, y as f32, z as f32), empty)
+        (Vec3::new(x as f32, y as f32, z as f32) + self.first_brick, empty)
     }
 }
 
