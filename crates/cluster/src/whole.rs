@@ -18,17 +18,12 @@ pub fn in_whole(
     held: &VoxelBox,
     dims: [u32; 3],
 ) -> Result<Volume, ClusterError> {
-    let mut channels: Vec<Volume> = vec![volume];
-    let others = channels[0].others().to_vec();
-    channels.extend(others.iter().map(|other| (**other).clone()));
-    drop(others);
-    // What the first one still holds of the others is replaced below.
-    let mut ready = Vec::with_capacity(channels.len());
-    for channel in channels {
-        ready.push(channel_in_whole(exchange, channel, own, held, dims)?);
-    }
-    let first = ready.remove(0);
-    let joined = first.with_others(ready.into_iter().map(Arc::new).collect());
+    let others = volume.others().to_vec();
+    let first = agree(exchange, volume.with_others(Vec::new()).map_err(|e| e.to_string()))?;
+    let first = channel_in_whole(exchange, first, own, held, dims)?;
+    let in_whole = |other| channel_in_whole(exchange, Arc::unwrap_or_clone(other), own, held, dims);
+    let others = others.into_iter().map(|other| in_whole(other).map(Arc::new));
+    let joined = first.with_others(others.collect::<Result<_, _>>()?);
     agree(exchange, joined.map_err(|e| e.to_string()))
 }
 

@@ -207,8 +207,8 @@ fn first_not(steps: Range<u32>, holds: impl Fn(u32) -> bool) -> u32 {
     low
 }
 
-/// Voxels that a process needs around its box. A march reads a voxel beyond the far point of its last step, which may
-/// be a stride outside, and brightness there comes from the next voxels.
+/// Voxels that a process needs around its box. The far point of a last step may be a stride outside, and a march reads
+/// the voxel beyond it. Brightness there comes from the next voxels.
 pub const GHOSTS: u32 = 3;
 
 #[cfg(test)]

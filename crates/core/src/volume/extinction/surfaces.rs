@@ -29,8 +29,8 @@ pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, region: &Region) -> 
     Some(!Body::of(sheets, volume, region)?.is_greater)
 }
 
-/// Of a part of a volume: the area of the visible `region`'s faces where the whole has at least the number of the lowest
-/// opaque sheet, in the voxels of `own` alone; and the area of all faces. `None` without such a sheet.
+/// Of a part of a volume, two areas of the visible `region`'s faces. The first is that in voxels of `own` which have at
+/// least the number of the lowest opaque sheet. The second is that of all faces. `None` without such a sheet.
 pub fn area_above(sheets: &[Sheet], volume: &Volume, region: &Region, own: &VoxelBox) -> Option<[f64; 2]> {
     let opaque = sheets.iter().filter(|s| s.is_opaque).map(|s| s.stored);
     Some(areas(volume, region, opaque.min_by(f32::total_cmp)?, |voxel| own.contains(voxel)))
