@@ -10,6 +10,7 @@ use super::LONGEST;
 use crate::kernels::march::{Advance, Lattice, Sink, Step, Texels};
 use crate::kernels::raycast::opacity;
 use crate::layer::{COLOR_MAX, pack_halves, unpack_halves};
+use crate::mode::Mode;
 
 /// How a ray's way through a part is sent.
 pub(super) trait Form {
@@ -320,15 +321,13 @@ impl RawStep {
 
     /// Adds the steps of a ray whose lattice is that of the part.
     pub(super) fn gather<T: Texels>(of: &Listing<'_, T>, words: &mut Vec<u32>) {
-        use crate::mode::Mode;
-        match of.scene.settings.mode {
-            Mode::Composite => of.march(&mut RawSteps { words, transmittance: Some(1.0) }),
-            Mode::Iso => {
-                of.marcher.crossings(&of.ray, of.lattice, &mut RawSteps { words, transmittance: None })
-            }
-            Mode::Mip | Mode::MinIp | Mode::Average => {
-                of.marcher.project(&of.ray, of.lattice, &mut RawSteps { words, transmittance: None });
-            }
+        let mode = of.scene.settings.mode;
+        let transmittance = (mode == Mode::Composite).then_some(1.0);
+        let mut sink = RawSteps { words, transmittance };
+        match mode {
+            Mode::Composite => of.march(&mut sink),
+            Mode::Iso => of.marcher.crossings(&of.ray, of.lattice, &mut sink),
+            Mode::Mip | Mode::MinIp | Mode::Average => of.marcher.project(&of.ray, of.lattice, &mut sink),
         }
     }
 }
