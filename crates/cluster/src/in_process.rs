@@ -1,6 +1,6 @@
 //! Threads of one process in place of processes.
 
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use crate::exchange::{Exchange, ExchangeError};
 
@@ -8,7 +8,7 @@ use crate::exchange::{Exchange, ExchangeError};
 pub struct InProcess {
     rank: usize,
     /// To each thread.
-    to: Vec<Sender<Vec<u32>>>,
+    to: Vec<SyncSender<Vec<u32>>>,
     /// From each thread.
     from: Vec<Receiver<Vec<u32>>>,
 }
@@ -20,7 +20,7 @@ impl InProcess {
             (0..size).map(|rank| Self { rank, to: Vec::new(), from: Vec::new() }).collect();
         for sender in 0..size {
             for receiver in 0..size {
-                let (to, from) = channel();
+                let (to, from) = sync_channel(AHEAD);
                 all[sender].to.push(to);
                 all[receiver].from.push(from);
             }
@@ -50,3 +50,6 @@ impl Exchange for InProcess {
         std::process::abort()
     }
 }
+
+/// A thread begins the next exchange before another has taken the words of the last, but no later one.
+const AHEAD: usize = 2;

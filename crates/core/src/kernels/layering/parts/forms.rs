@@ -36,7 +36,7 @@ fn alone(part: &Lattice) -> Lattice {
 }
 
 /// Pieces of matter: both ends, optical depth and colour, and how far opacity and colour are displaced.
-pub(super) struct Matter;
+pub(super) struct MatterForm;
 
 struct MatterParts<'a> {
     ray: StepsPerLength,
@@ -56,7 +56,7 @@ impl Sink for MatterParts<'_> {
     }
 }
 
-impl Form for Matter {
+impl Form for MatterForm {
     const WORDS: usize = 7;
 
     fn gather<T: Texels>(of: &Listing<'_, T>, _: &Lattice, threshold: f32, words: &mut Vec<u32>) {
@@ -88,7 +88,7 @@ impl Form for Matter {
 
 /// Colours are sent as those of opaque matter, so that thin matter keeps its precision. Displacements are against a
 /// homogeneous medium, as shares of the length.
-fn words_of_matter(matter: &MatterPiece, ray: &StepsPerLength) -> [u32; Matter::WORDS] {
+fn words_of_matter(matter: &MatterPiece, ray: &StepsPerLength) -> [u32; MatterForm::WORDS] {
     let Step { s0, s1, c, tau, alpha } = matter.all;
     let color = c / alpha.max(ALPHA_LEAST);
     let length = ((s1 - s0) * ray.0).max(LENGTH_LEAST);
@@ -109,7 +109,7 @@ fn words_of_matter(matter: &MatterPiece, ray: &StepsPerLength) -> [u32; Matter::
     ]
 }
 
-fn matter_from_words(words: &[u32; Matter::WORDS], ray: &StepsPerLength) -> MatterPiece {
+fn matter_from_words(words: &[u32; MatterForm::WORDS], ray: &StepsPerLength) -> MatterPiece {
     let [s0, s1, tau] = [0, 1, 2].map(|i| f32::from_bits(words[i]));
     let alpha = opacity(tau);
     let (r, g) = unpack_halves(words[3]);
@@ -138,7 +138,7 @@ fn number(code: u32) -> f32 {
 }
 
 /// Crossings of surfaces: their place, optical depth and colour, and whether values rise.
-pub(super) struct Surface;
+pub(super) struct CrossingForm;
 
 struct Crossings<'a>(&'a mut Vec<u32>);
 
@@ -152,7 +152,7 @@ impl Sink for Crossings<'_> {
     }
 }
 
-impl Form for Surface {
+impl Form for CrossingForm {
     const WORDS: usize = 4;
 
     fn gather<T: Texels>(of: &Listing<'_, T>, _: &Lattice, _: f32, words: &mut Vec<u32>) {
@@ -182,9 +182,9 @@ impl Form for Surface {
 }
 
 /// Pieces of a projection of the greatest or the least value.
-pub(super) struct Greatest;
+pub(super) struct GreatestForm;
 /// Pieces of a mean.
-pub(super) struct Mean;
+pub(super) struct MeanForm;
 
 struct ProjectionParts<'a> {
     ray: RayConstants,
@@ -234,7 +234,7 @@ fn list_projection<T: Texels, const N: usize>(
     lister.finish();
 }
 
-impl Form for Greatest {
+impl Form for GreatestForm {
     const WORDS: usize = 5;
 
     fn gather<T: Texels>(of: &Listing<'_, T>, whole: &Lattice, threshold: f32, words: &mut Vec<u32>) {
@@ -257,7 +257,7 @@ impl Form for Greatest {
     }
 }
 
-impl Form for Mean {
+impl Form for MeanForm {
     const WORDS: usize = 8;
 
     fn gather<T: Texels>(of: &Listing<'_, T>, whole: &Lattice, threshold: f32, words: &mut Vec<u32>) {

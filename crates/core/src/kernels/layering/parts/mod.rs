@@ -13,7 +13,7 @@ mod forms;
 
 use rayon::prelude::*;
 
-use self::forms::{Form, Greatest, Matter, Mean, RawStep, Surface};
+use self::forms::{CrossingForm, Form, GreatestForm, MatterForm, MeanForm, RawStep};
 use super::budget::{self, longest_list};
 use super::pieces::join_rows;
 use super::projection::ProjectionLister;
@@ -62,10 +62,10 @@ pub fn pieces(scene: &Scene, split: &Split, rank: usize, frame: &AskedFrame, row
     with_texels!(scene, texels => {
         let of = OwnPart { scene, marcher: &Marcher::new(scene, texels), split, rank };
         match scene.settings.mode {
-            Mode::Composite => of.write::<Matter>(frame, rows),
-            Mode::Iso => of.write::<Surface>(frame, rows),
-            Mode::Mip | Mode::MinIp => of.write::<Greatest>(frame, rows),
-            Mode::Average => of.write::<Mean>(frame, rows),
+            Mode::Composite => of.write::<MatterForm>(frame, rows),
+            Mode::Iso => of.write::<CrossingForm>(frame, rows),
+            Mode::Mip | Mode::MinIp => of.write::<GreatestForm>(frame, rows),
+            Mode::Average => of.write::<MeanForm>(frame, rows),
         }
     })
 }
@@ -191,10 +191,10 @@ pub fn unite(
     with_texels!(scene, texels => {
         let of = Owner { scene, marcher: &Marcher::new(scene, texels), split };
         match scene.settings.mode {
-            Mode::Composite => of.unite::<Matter>(frame, rows, lists),
-            Mode::Iso => of.unite::<Surface>(frame, rows, lists),
-            Mode::Mip | Mode::MinIp => of.unite::<Greatest>(frame, rows, lists),
-            Mode::Average => of.unite::<Mean>(frame, rows, lists),
+            Mode::Composite => of.unite::<MatterForm>(frame, rows, lists),
+            Mode::Iso => of.unite::<CrossingForm>(frame, rows, lists),
+            Mode::Mip | Mode::MinIp => of.unite::<GreatestForm>(frame, rows, lists),
+            Mode::Average => of.unite::<MeanForm>(frame, rows, lists),
         }
     })
 }
