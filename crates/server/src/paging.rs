@@ -224,7 +224,7 @@ impl Shared {
             if state.is_over {
                 return;
             }
-            let Some(id) = state.residency.next() else {
+            let Some(id) = state.residency.next_page() else {
                 state = self.work.wait(state).unwrap_or_else(PoisonError::into_inner);
                 continue;
             };

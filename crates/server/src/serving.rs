@@ -375,7 +375,7 @@ impl Viewer {
 async fn changed(pages: &mut Option<watch::Receiver<u64>>) {
     let Some(pages) = pages else { return std::future::pending().await };
     if pages.changed().await.is_err() {
-        std::future::pending().await
+        std::future::pending::<()>().await;
     }
 }
 

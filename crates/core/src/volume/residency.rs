@@ -335,7 +335,7 @@ impl Residency {
     }
 
     /// The page to read next. It counts as being read until `insert` or `fail`.
-    pub fn next(&mut self) -> Option<PageId> {
+    pub fn next_page(&mut self) -> Option<PageId> {
         if self.resident.len() + self.reading.len() >= self.max_pages {
             return None;
         }
