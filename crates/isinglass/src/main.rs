@@ -9,6 +9,7 @@ mod clip_args;
 mod commands;
 mod config;
 mod detach;
+mod distributed;
 mod given;
 mod identity_file;
 mod lens_args;

@@ -1,6 +1,5 @@
 //! Everything that the user reads: results, errors of one line, and the log.
 
-use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -51,18 +50,34 @@ fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
+/// An error that another process has printed, or this one.
+#[derive(Debug)]
+pub(crate) struct Told;
+
+impl std::fmt::Display for Told {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a process has failed")
+    }
+}
+
+impl std::error::Error for Told {}
+
+/// An error with its causes in one line.
+pub(crate) fn in_one_line(error: &anyhow::Error) -> String {
+    let causes: Vec<String> = error.chain().map(ToString::to_string).collect();
+    without_tokens(&one_line(&causes.join(": ")))
+}
+
 pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
+    if error.is::<Told>() {
+        return ExitCode::FAILURE;
+    }
     // Some bad usage only appears when several arguments are combined.
     if let Some(error) = error.downcast_ref() {
         return usage(error);
     }
     let is_usage = error.downcast_ref().is_some_and(BenchError::is_usage);
-    let mut line = String::new();
-    for cause in error.chain() {
-        let separator = if line.is_empty() { "isinglass: " } else { ": " };
-        let _ = write!(line, "{separator}{cause}");
-    }
-    note(&without_tokens(&one_line(&line)));
+    note(&format!("isinglass: {}", in_one_line(error)));
     if is_usage { ExitCode::from(USAGE) } else { ExitCode::FAILURE }
 }
 

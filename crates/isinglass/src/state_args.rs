@@ -142,11 +142,23 @@ impl Seen {
         lists: &ListArgs,
         memory: &MemoryArgs,
     ) -> Result<(OpenedScene, Look)> {
-        let mut opened = open_volume(&self.volume(volume)?, look, lighting, memory)?;
+        let opened = open_volume(&self.volume(volume)?, look, lighting, memory)?;
+        let (opened, wanted) = self.under_look(opened, look, lighting, lists)?;
+        self.note_oddities(opened.scene.whole(), &wanted);
+        Ok((opened, wanted))
+    }
+
+    /// A volume that was opened with flags, under the look that is wanted.
+    pub(crate) fn under_look(
+        &self,
+        mut opened: OpenedScene,
+        look: &LookArgs,
+        lighting: Lighting,
+        lists: &ListArgs,
+    ) -> Result<(OpenedScene, Look)> {
         let upright = lighting.upright(opened.scene.volume.info.orientation.as_deref());
         let classes = (opened.transfer.clone(), opened.channels.clone());
         let wanted = self.look(classes, look, upright, lists)?;
-        self.note_oddities(opened.scene.whole(), &wanted);
         if self.state.look.is_some() || upright != lighting {
             opened.scene = opened.scene.under(&wanted, Detail::Final, None);
             (opened.transfer, opened.channels) = (wanted.transfer.clone(), wanted.channels.clone());
@@ -184,7 +196,7 @@ impl Seen {
     }
 
     /// Notes what a viewer of this volume and look should know.
-    fn note_oddities(&self, volume: &Volume, look: &Look) {
+    pub(crate) fn note_oddities(&self, volume: &Volume, look: &Look) {
         volume.info.warnings.iter().for_each(|warning| note(&format!("note: {warning}")));
         if let Some(difference) = self.state.volume.as_ref().and_then(|v| v.difference_from(volume)) {
             note(&difference);

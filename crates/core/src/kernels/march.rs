@@ -35,7 +35,7 @@ use self::modes::{Collected, SURFACES, SamplePair};
 pub use self::pages::{PageLook, ScenePages, SeenPages};
 pub use self::scene::{ChannelFacts, MarchedChannel, Scene};
 use self::skipper::{Skipper, VisibleBins};
-use self::surfaces::Thicken;
+pub(crate) use self::surfaces::Thicken;
 use crate::camera::Camera;
 use crate::clip::Clip;
 use crate::layer::Over;
@@ -45,7 +45,7 @@ use crate::simd::has_avx2;
 use crate::space::{Ray, safe_dir};
 use crate::transfer::{TABLE_BINS, TransferTable};
 pub use crate::volume::Shading;
-use crate::volume::{Detail, Lighting};
+use crate::volume::{Detail, Lighting, PointLine};
 
 /// Settings of a march.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,14 +83,17 @@ impl MarchSettings {
     }
 }
 
-/// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n.
+/// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n. A part of a lattice has the steps
+/// from `first` on, and an earlier end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lattice {
     /// Distance of the first point.
     pub s0: f32,
     /// Step length.
     pub h: f32,
-    /// Number of steps, at least 1.
+    /// The first step that is marched: 0 but for a part.
+    pub first: u32,
+    /// Number of steps, at least 1; of a part, the end of its last step.
     pub n: u32,
     /// The unit of length for merging errors: about the least step of all rays, in any direction.
     pub unit: f32,
@@ -242,10 +245,27 @@ impl<T: Texels> Marcher<'_, T> {
         if self.scene.settings.mode != Mode::Iso {
             return self.march_mode::<{ Mode::Composite as u8 }>(ray, lattice, sink);
         }
-        let voxel = self.scene.voxel_space().0.min_element();
-        let mut thicken = Thicken::new(sink, lattice, voxel, self.scene.has_lesser_bodies);
-        self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut thicken);
+        let mut thicken = self.thicken(lattice, sink);
+        self.crossings(ray, lattice, &mut thicken);
         thicken.finish();
+    }
+
+    /// Marches to surfaces without thickness. A crossing ends at infinity: at +∞ if values rise there, or else at −∞.
+    pub(crate) fn crossings(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
+        self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, sink);
+    }
+
+    /// Gives thickness to the crossings of a ray with this whole lattice.
+    pub(crate) fn thicken<'s, S: Sink>(&self, lattice: Lattice, sink: &'s mut S) -> Thicken<'s, S> {
+        let voxel = self.scene.voxel_space().0.min_element();
+        Thicken::new(sink, lattice, voxel, self.scene.has_lesser_bodies)
+    }
+
+    /// The lattice points of a ray in the voxel space of the whole volume, by the march's own arithmetic.
+    pub(crate) fn point_line(&self, ray: &Ray, lattice: Lattice) -> PointLine {
+        let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
+        let dir = safe_dir(ray.dir) * self.voxel_from_world;
+        PointLine { origin, dir, s0: lattice.s0, h: lattice.h }
     }
 
     /// The same for a projection, with steps as in [`modes::Values`].
@@ -282,8 +302,8 @@ impl<T: Texels> Marcher<'_, T> {
     fn march_lanes<const MODE: u8>(&self, ray: &Ray, lattice: Lattice, sink: &mut impl Sink) {
         let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
         let ray = VoxelRay::new(origin, safe_dir(ray.dir), self.voxel_from_world, self.highlight.as_ref());
-        let mut walk = Walk { i: 0, stride: 1, x_front: None, has_stopped: false };
-        let mut i = 0;
+        let mut walk = Walk { i: lattice.first, stride: 1, x_front: None, has_stopped: false };
+        let mut i = lattice.first;
         while let Some((field, run)) = self.fields.run(&ray, lattice, &mut i, walk.stride) {
             if i != walk.i {
                 (walk.i, walk.x_front) = (i, None);
@@ -377,19 +397,27 @@ impl<T: Texels> Marcher<'_, T> {
     /// `stop_at`.
     pub(crate) fn seen(&self, ray: &Ray, near: f32, stop_at: f32) -> [f32; 4] {
         let Some(lattice) = self.scene.lattice(ray, near) else { return [0.0; 4] };
+        let seen = self.seen_in(ray, lattice, stop_at);
+        self.scene.seen_of_parts(lattice, std::iter::once(seen))
+    }
+
+    /// What is seen along a lattice or a part of one: premultiplied colour and transmittance, or what a projection
+    /// collects.
+    pub(crate) fn seen_in(&self, ray: &Ray, lattice: Lattice, stop_at: f32) -> [f32; 4] {
         if self.scene.settings.mode.is_projection() {
             let mut shown = Collected::new(self.scene);
             self.project(ray, lattice, &mut shown);
-            return shown.rgba(lattice);
+            return shown.numbers();
         }
         let mut sink = OverSink { over: Over::default(), stop_at };
         // A picture needs no thickness of surfaces.
         if self.scene.settings.mode == Mode::Iso {
-            self.march_mode::<{ Mode::Iso as u8 }>(ray, lattice, &mut sink);
+            self.crossings(ray, lattice, &mut sink);
         } else {
             self.march(ray, lattice, &mut sink);
         }
-        sink.over.rgba()
+        let Over { c, transmittance } = sink.over;
+        [c.x, c.y, c.z, transmittance]
     }
 
     /// Colour (not premultiplied) and optical depth of a step of length `h` between the domain positions `x0`, `x1`.

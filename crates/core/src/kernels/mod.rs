@@ -6,4 +6,7 @@ pub mod empty_space;
 pub mod layering;
 pub mod lens;
 pub mod march;
+pub mod part_pictures;
+mod part_rows;
+pub use part_rows::{PartsError, rows_of};
 pub mod raycast;

@@ -22,13 +22,24 @@ pub struct Bricks {
 impl Bricks {
     /// Reads the whole volume once, in parallel.
     pub fn of(volume: &Volume) -> Self {
-        let dims = volume.dims().map(|d| d.div_ceil(BRICK));
+        let first = Self::first(volume);
+        let dims =
+            [0, 1, 2].map(|axis| (volume.first()[axis] + volume.dims()[axis]).div_ceil(BRICK) - first[axis]);
         let [bx, by, bz] = dims;
-        let ranges = (0..bx * by * bz)
+        let ranges = (0..bx as usize * by as usize * bz as usize)
             .into_par_iter()
-            .map(|i| brick_range(volume, [i % bx, i / bx % by, i / bx / by]))
+            .map(|i| {
+                let (x, rest) = (i % bx as usize, i / bx as usize);
+                let at = [x, rest % by as usize, rest / by as usize];
+                brick_range(volume, [0, 1, 2].map(|axis| first[axis] + at[axis] as u32))
+            })
             .collect();
         Self { dims, ranges }
+    }
+
+    /// The first brick along x, y, z. Bricks of a part are those of the whole that have any of its voxels.
+    pub fn first(volume: &Volume) -> [u32; 3] {
+        volume.first().map(|voxel| voxel / BRICK)
     }
 
     /// Bricks along x, y, z.
@@ -163,10 +174,11 @@ fn in_words(bytes: impl Iterator<Item = u8>) -> Vec<u32> {
 }
 
 fn brick_range(volume: &Volume, b: [u32; 3]) -> (f32, f32) {
-    let dims = volume.dims();
+    let (dims, first) = (volume.dims(), volume.first());
     let span = |axis: usize| {
-        let start = (b[axis] * BRICK).saturating_sub(1) as usize;
-        start..((b[axis] + 1) * BRICK + 1).min(dims[axis]) as usize
+        let start = (b[axis] * BRICK).saturating_sub(1).max(first[axis]);
+        let end = ((b[axis] + 1) * BRICK + 1).min(first[axis] + dims[axis]);
+        (start - first[axis]) as usize..(end - first[axis]) as usize
     };
     let (nx, ny) = (dims[0] as usize, dims[1] as usize);
     let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);

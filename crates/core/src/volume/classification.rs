@@ -1,6 +1,6 @@
 //! Prepares transfer functions for one volume, which gives their domain and unit length a meaning.
 
-use super::{Histogram, Volume, label_color};
+use super::{Histogram, Volume, label_color, sample_places};
 use crate::picture::linear_from_srgb;
 use crate::transfer::{
     Domain, TABLE_BINS, TransferFunction, TransferTable, UnitLength, integrated, label_table,
@@ -47,15 +47,16 @@ impl TransferFunction {
     /// volume's axes fill the range. Most of a ray's way is empty, so the plain mean of a scan is nearly black. The
     /// factor is at least 1, and rests on a sample of the voxels.
     pub fn exposure(&self, volume: &Volume, table: &TransferTable) -> f32 {
-        let dims = volume.dims();
-        // Voxels in the middle of equal parts of each axis.
-        let num = dims.map(|n| n.min(MOST_SAMPLES));
-        let place = |i: u32, axis: usize| ((2 * i + 1) * dims[axis] / (2 * num[axis])) as i32;
-        let [nx, ny, nz] = num.map(|n| n as usize);
+        let places = volume.whole_dims().map(sample_places);
+        let [nx, ny, nz] = [0, 1, 2].map(|axis: usize| places[axis].len());
+        // Of a part, the samples of the whole are known.
+        let sample = |x: usize, y: usize, z: usize| match volume.whole() {
+            Some(whole) => whole.samples.get((z * ny + y) * nx + x).copied().unwrap_or_default(),
+            None => volume.stored_in_world([places[0][x], places[1][y], places[2][z]]),
+        };
         let mut sums = [vec![0f32; ny * nz], vec![0f32; nx * nz], vec![0f32; nx * ny]];
         for (z, y, x) in (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| (z, y, x)))) {
-            let [i, j, k] = [(x, 0), (y, 1), (z, 2)].map(|(i, axis)| place(i as u32, axis));
-            let at = volume.stored_at(i, j, k) * table.x_scale + table.x_offset;
+            let at = sample(x, y, z) * table.x_scale + table.x_offset;
             let node = (at.clamp(0.0, 1.0) * TABLE_BINS as f32) as usize;
             let shown = table.density.get(node).map_or(0.0, |node| node[3]);
             for (sum, at) in sums.iter_mut().zip([z * ny + y, z * nx + x, y * nx + x]) {
@@ -108,8 +109,6 @@ impl TransferFunction {
     }
 }
 
-/// Samples of a volume along an axis for [`TransferFunction::exposure`].
-const MOST_SAMPLES: u32 = 64;
 /// Greatest exposure: a few voxels in an empty volume stay dim.
 const MOST_EXPOSURE: f32 = 64.0;
 

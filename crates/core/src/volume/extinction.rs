@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use glam::Vec3;
 
-pub use self::surfaces::{Sheet, has_lesser_bodies};
+pub use self::surfaces::{Sheet, are_lesser_bodies, area_above, has_lesser_bodies};
 
 use super::grid::{Volume, Voxels};
 use crate::clip::Region;

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::gaps::{self, VoxelGaps};
 use super::pyramid::{Finest, Paging, VoxelKind};
+use super::world::Whole;
 pub use crate::channels::MAX_CHANNELS;
 use crate::space::Aabb;
 
@@ -150,6 +151,8 @@ pub struct Volume {
     finest: Option<Arc<Finest>>,
     /// See [`Volume::with_paging`].
     paging: Option<Paging>,
+    /// See [`Volume::in_whole`].
+    whole: Option<Arc<Whole>>,
     /// Name, type and remarks.
     pub info: VolumeInfo,
 }
@@ -261,7 +264,7 @@ impl Volume {
                 offset: value_offset,
             });
         }
-        let (others, gaps, finest, paging) = (Vec::new(), None, None, None);
+        let (others, gaps, finest, paging, whole) = (Vec::new(), None, None, None, None);
         Ok(Self {
             dims,
             spacing,
@@ -273,6 +276,7 @@ impl Volume {
             gaps,
             finest,
             paging,
+            whole,
             info,
         })
     }
@@ -346,6 +350,28 @@ impl Volume {
         &self.others
     }
 
+    /// The volume as a part of a whole, from which its box, its range and its histogram are taken. Its voxel space is that
+    /// of the whole. A part of a level lies in the finest level as the whole level does ([`Volume::with_finest`]).
+    ///
+    /// # Errors
+    /// If the part does not lie inside the whole.
+    pub fn in_whole(mut self, whole: Arc<Whole>) -> Result<Self, VolumeError> {
+        let is_inside = |axis: usize| {
+            whole.first[axis].checked_add(self.dims[axis]).is_some_and(|end| end <= whole.dims[axis])
+        };
+        if !(0..3).all(is_inside) {
+            return Err(VolumeError::Channels(self.dims, whole.dims));
+        }
+        self.stored_range = whole.stored_range;
+        self.whole = Some(whole);
+        Ok(self)
+    }
+
+    /// The whole that this volume is a part of; `None` if it is one itself.
+    pub fn whole(&self) -> Option<&Arc<Whole>> {
+        self.whole.as_ref()
+    }
+
     /// All channels, this one first.
     pub fn channels(&self) -> impl Iterator<Item = &Volume> {
         std::iter::once(self).chain(self.others.iter().map(AsRef::as_ref))
@@ -387,17 +413,20 @@ impl Volume {
         &self.voxels
     }
 
-    /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres). A level of a
-    /// pyramid has the box of the finest level.
+    /// The box of the volume in world space, faces included (half a voxel beyond the outermost centres). A part
+    /// has the box of the whole, and a level of a pyramid that of the finest level.
     pub fn bounds(&self) -> Aabb {
-        let dims = Vec3::from_array(self.finest_dims().map(|d| d as f32));
-        let half = dims * self.finest_spacing() * 0.5;
+        let (dims, spacing) = match &self.finest {
+            Some(finest) => (Vec3::from_array(finest.dims.map(|d| d as f32)), finest.spacing),
+            None => (self.whole_dims_f32(), self.spacing),
+        };
+        let half = dims * spacing * 0.5;
         Aabb { min: -half, max: half }
     }
 
     /// The world's origin in voxel space: voxel space is world space / spacing + this.
     pub fn voxel_origin(&self) -> Vec3 {
-        let Some(finest) = &self.finest else { return self.dims_f32() * 0.5 };
+        let Some(finest) = &self.finest else { return self.whole_dims_f32() * 0.5 };
         let middle = Vec3::from_array(finest.dims.map(|d| d as f32)) * 0.5 - 0.5;
         (middle - finest.first) * self.steepness() + 0.5
     }
@@ -405,6 +434,10 @@ impl Volume {
     /// A point of voxel space in world space.
     pub fn world_from_voxel(&self, point: Vec3) -> Vec3 {
         (point - self.voxel_origin()) * self.spacing
+    }
+
+    fn whole_dims_f32(&self) -> Vec3 {
+        Vec3::from_array(self.whole_dims().map(|d| d as f32))
     }
 
     /// The dimensions as floats.

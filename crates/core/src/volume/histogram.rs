@@ -1,10 +1,9 @@
 //! Histogram of the physical values, and the percentiles read from it.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
 use super::grid::{Volume, Voxels};
+use super::world::VoxelBox;
 
 /// Counts of voxels in equal bins, usually between the least and the greatest value.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,37 +23,37 @@ impl Histogram {
     /// would squeeze the others into a few bins, the bins cover only the others. A level of a pyramid has the finest
     /// level's, if that is known.
     pub fn of(volume: &Volume) -> Self {
+        if let Some(whole) = volume.whole() {
+            return whole.histogram.clone();
+        }
         if let Some(known) = volume.finest().and_then(|finest| finest.histogram.as_ref()) {
             return (**known).clone();
         }
-        let (stored_lo, stored_hi) = volume.stored_range();
-        let mut range = (stored_lo, stored_hi);
-        let mut counts = match volume.voxels() {
-            Voxels::U8(v) => counted(v, stored_lo, stored_hi),
-            Voxels::U16(v) => counted(v, stored_lo, stored_hi),
-            Voxels::F32(v) => {
-                let mut counts = in_bins(v, range);
-                if let Some(bulk) = bulk(v.len() as u64, &|part| in_bins(v, part), range, &counts) {
-                    range = bulk;
-                    counts = in_bins(v, range);
-                }
-                counts
-            }
-        };
-        if let Some(gaps) = volume.gaps() {
-            let of_part: &dyn Fn(Range<usize>) -> Vec<u64> = match volume.voxels() {
-                Voxels::U8(v) => &|part| counted(&known_in(v, &gaps.bytes, part), stored_lo, stored_hi),
-                Voxels::U16(v) => &|part| counted(&known_in(v, &gaps.bytes, part), stored_lo, stored_hi),
-                Voxels::F32(v) => &|part| in_bins(&known_in(v, &gaps.bytes, part), range),
-            };
-            let num = gaps.bytes.len();
-            counts.fill(0);
-            for first in (0..num).step_by(PARTS_WITH_GAPS) {
-                let part = of_part(first..(first + PARTS_WITH_GAPS).min(num));
-                counts.iter_mut().zip(part).for_each(|(sum, n)| *sum += n);
-            }
+        let all = VoxelBox::of(volume.dims());
+        Self::by(volume, volume.stored_range(), all.count(), &mut |range, with_gaps| {
+            Self::counts_in(volume, &all, range, with_gaps)
+        })
+    }
+
+    /// The same of `num_voxels` voxels with these least and greatest stored numbers. `count` gives the number of voxels
+    /// in each bin between two stored numbers, with or without the gaps. Type and values are those of `volume`.
+    pub fn by(
+        volume: &Volume,
+        stored_range: (f32, f32),
+        num_voxels: u64,
+        count: &mut dyn FnMut((f32, f32), bool) -> Vec<u64>,
+    ) -> Self {
+        let mut range = stored_range;
+        let mut counts = count(range, true);
+        if matches!(volume.voxels(), Voxels::F32(_))
+            && let Some((bulk, of_bulk)) = bulk(num_voxels, range, &counts, &mut |range| count(range, true))
+        {
+            (range, counts) = (bulk, of_bulk);
         }
-        Self::of_bins(counts, range, (stored_lo, stored_hi), volume.value_map())
+        if volume.gaps().is_some() {
+            counts = count(range, false);
+        }
+        Self::of_bins(counts, range, stored_range, volume.value_map())
     }
 
     /// The histogram of numbers that were counted in many small bins: each has a least and a greatest number, and how
@@ -72,13 +71,10 @@ impl Histogram {
             }
             return Self::of_bins(counts, range, range, value_map);
         }
-        let (total, count) = (bins.iter().map(|bin| bin.2).sum(), |part| spread(bins, part));
-        let mut counts = count(range);
-        let bulk = bulk(total, &count, range, &counts);
-        if let Some(bulk) = bulk {
-            counts = count(bulk);
-        }
-        Self::of_bins(counts, bulk.unwrap_or(range), range, value_map)
+        let (total, counts) = (bins.iter().map(|bin| bin.2).sum(), spread(bins, range));
+        let bulk = bulk(total, range, &counts, &mut |part| spread(bins, part));
+        let (of_bins, counts) = bulk.unwrap_or((range, counts));
+        Self::of_bins(counts, of_bins, range, value_map)
     }
 
     /// A histogram as it was stored; `None` if its numbers contradict each other.
@@ -108,6 +104,17 @@ impl Histogram {
         }
         let (least, greatest, _) = value(stored);
         Self { lo, hi, counts, range: (least, greatest) }
+    }
+
+    /// Counts the voxels of a box of `volume` in bins between two stored numbers, with or without the gaps.
+    pub fn counts_in(volume: &Volume, voxels: &VoxelBox, range: (f32, f32), with_gaps: bool) -> Vec<u64> {
+        let gaps = volume.gaps().filter(|_| !with_gaps).map(|gaps| &gaps.bytes[..]);
+        let places = Places { dims: volume.dims(), voxels, gaps };
+        match volume.voxels() {
+            Voxels::U8(v) => places.counts(v, &|part| counted(part, range.0, range.1)),
+            Voxels::U16(v) => places.counts(v, &|part| counted(part, range.0, range.1)),
+            Voxels::F32(v) => places.counts(v, &|part| in_bins(part, range)),
+        }
     }
 
     /// The least value with at least `percent` % of the voxels at or below it, to the precision of the bins.
@@ -150,9 +157,43 @@ impl Histogram {
     }
 }
 
-/// The voxels of a part that are no gaps.
-fn known_in<T: Copy>(voxels: &[T], gaps: &[u8], part: Range<usize>) -> Vec<T> {
-    voxels[part.clone()].iter().zip(&gaps[part]).filter(|(_, gap)| **gap == 0).map(|(v, _)| *v).collect()
+/// The voxels of a box that are no gaps.
+struct Places<'a> {
+    dims: [u32; 3],
+    voxels: &'a VoxelBox,
+    gaps: Option<&'a [u8]>,
+}
+
+impl Places<'_> {
+    /// Counts in one pass, or in copies of some rows at a time.
+    fn counts<T: Copy>(&self, all: &[T], count: &dyn Fn(&[T]) -> Vec<u64>) -> Vec<u64> {
+        if self.gaps.is_none() && *self.voxels == VoxelBox::of(self.dims) {
+            return count(all);
+        }
+        let [nx, ny, _] = self.dims.map(|n| n as usize);
+        let ([x, y, z], [ex, ey, ez]) =
+            (self.voxels.first.map(|n| n as usize), self.voxels.end.map(|n| n as usize));
+        let (mut sums, mut some) = (count(&[]), Vec::with_capacity(MOST_COPIED));
+        let mut flush = |some: &mut Vec<T>| {
+            sums.iter_mut().zip(count(some)).for_each(|(sum, n)| *sum += n);
+            some.clear();
+        };
+        for row in (z..ez).flat_map(|z| (y..ey).map(move |y| (z * ny + y) * nx)) {
+            let row = row + x..row + ex;
+            match self.gaps {
+                Some(gaps) => {
+                    let known = all[row.clone()].iter().zip(&gaps[row]).filter(|(_, gap)| **gap == 0);
+                    some.extend(known.map(|(v, _)| *v));
+                }
+                None => some.extend_from_slice(&all[row]),
+            }
+            if some.len() + (ex - x) > MOST_COPIED {
+                flush(&mut some);
+            }
+        }
+        flush(&mut some);
+        sums
+    }
 }
 
 fn counted<T: Copy + Sync + Into<u32>>(voxels: &[T], lo: f32, hi: f32) -> Vec<u64> {
@@ -211,14 +252,14 @@ fn spread(bins: &[(f32, f32, u64)], (lo, hi): (f32, f32)) -> Vec<u64> {
     counts
 }
 
-/// The range of all `num_voxels` but [`TAIL`] at each end, if it is [`FAR`] times shorter than `range`, which `counts`
-/// cover. `in_bins` counts them in other ranges.
+/// The range of all `num_voxels` but [`TAIL`] at each end with its counts, if it is [`FAR`] times shorter than `range`,
+/// which `counts` cover. `count` counts them in other ranges.
 fn bulk(
     num_voxels: u64,
-    in_bins: &dyn Fn((f32, f32)) -> Vec<u64>,
     mut range: (f32, f32),
     counts: &[u64],
-) -> Option<(f32, f32)> {
+    count: &mut dyn FnMut((f32, f32)) -> Vec<u64>,
+) -> Option<((f32, f32), Vec<u64>)> {
     let tail = (num_voxels as f64 * TAIL) as u64;
     let from_below = |counts: &mut dyn Iterator<Item = &u64>| {
         let mut seen = 0;
@@ -234,7 +275,7 @@ fn bulk(
         let first = from_below(&mut counts.iter());
         let after = NUM_BINS - from_below(&mut counts.iter().rev());
         if (after - first) * FAR >= NUM_BINS {
-            return (range != whole).then_some(range);
+            return (range != whole).then_some((range, counts));
         }
         let at = |bin: usize| {
             let (lo, hi) = (f64::from(range.0), f64::from(range.1));
@@ -250,7 +291,7 @@ fn bulk(
             return None;
         }
         range = inner;
-        counts = in_bins(range);
+        counts = count(range);
     }
 }
 
@@ -289,8 +330,8 @@ const TAIL: f64 = 1e-4;
 /// Gain in resolution that justifies skipping them.
 const FAR: usize = 16;
 
-/// Voxels that are counted at once where some of them are gaps.
-const PARTS_WITH_GAPS: usize = 1 << 24;
+/// Most voxels that are copied at a time to be counted.
+const MOST_COPIED: usize = 1 << 24;
 
 #[cfg(test)]
 mod tests {

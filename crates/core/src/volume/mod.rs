@@ -19,9 +19,11 @@ mod pyramid;
 mod residency;
 mod shade;
 mod slice;
+mod split;
+mod world;
 
 pub use bricks::{BRICK, Bricks, Occupancy, PEAK_MAX};
-pub use extinction::{Detail, Matter, Sheet, has_lesser_bodies};
+pub use extinction::{Detail, Matter, Sheet, are_lesser_bodies, area_above, has_lesser_bodies};
 pub use gaps::VoxelGaps;
 pub use grid::{ChannelInfo, MAX_CHANNELS, Placement, Volume, VolumeError, VolumeInfo, VolumeLabel, Voxels};
 pub use histogram::{Histogram, parting_value};
@@ -39,3 +41,5 @@ pub use pyramid::{
 };
 pub use residency::{PagePlan, PageProgress, PageView, PlanKey, Residency};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};
+pub use split::{GHOSTS, PointLine, Split, SplitError};
+pub use world::{VoxelBox, Whole, sample_places};

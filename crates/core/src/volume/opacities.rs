@@ -30,12 +30,16 @@ pub fn opacity_volume(channels: &[(&Volume, &TransferTable)], blend: Blend) -> O
     let map = (1.0, 0.0);
     let volume =
         Volume::new(first.dims(), first.spacing(), Voxels::U8(codes), map, Default::default()).ok()?;
-    Some(match first.finest() {
+    let volume = match first.finest() {
         Some(finest) => {
             volume.with_finest(Finest { stored_range: None, histogram: None, ..(**finest).clone() })
         }
         None => volume,
-    })
+    };
+    match first.whole() {
+        Some(whole) => volume.in_whole(whole.clone()).ok(),
+        None => Some(volume),
+    }
 }
 
 /// The table by which an [`opacity_volume`] attenuates light.

@@ -1,5 +1,6 @@
 //! Pages in memory, and which of them shows each part of a volume.
 
+use std::cmp::Reverse;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -137,7 +138,7 @@ impl PageSet {
     /// level.
     pub fn new(pyramid: Arc<Pyramid>, mut pages: Vec<Arc<Page>>, is_shown: impl Fn(PageId) -> bool) -> Self {
         // Finer pages come last and win.
-        pages.sort_by_key(|page| std::cmp::Reverse((page.id.level, page.id.at)));
+        pages.sort_by_key(|page| Reverse((page.id.level, page.id.at)));
         let grid = pyramid.pages(0);
         let mut table = vec![0; grid.iter().map(|n| *n as usize).product()];
         for (slot, page) in pages.iter().enumerate().filter(|(_, page)| is_shown(page.id)) {

@@ -103,7 +103,7 @@ impl VolumeArgs {
 
     /// Options for opening. The memory limit is the default of `serve`, so that both choose the same level of a
     /// pyramid.
-    fn options<'a>(&self, reading: &'a Reading) -> OpenOptions<'a> {
+    pub(crate) fn options<'a>(&self, reading: &'a Reading) -> OpenOptions<'a> {
         let PartArgs { spacing, .. } = self.part;
         OpenOptions {
             raw: self.raw.shape(),

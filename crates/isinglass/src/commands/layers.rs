@@ -16,10 +16,10 @@ use crate::args::{
     BackendArgs, CodecArgs, CodecChoice, ListArgs, LookArgs, ViewArgs, VolumeArgs, not_an_input,
     parse_output, usage_error,
 };
+use crate::distributed::{DistributedArgs, Drawer, Together, open_for};
 use crate::given::Given;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
-use crate::paged::Pages;
 use crate::report::print_json;
 use crate::state_args::StateArgs;
 
@@ -44,6 +44,8 @@ pub(crate) struct LayersArgs {
     backend: BackendArgs,
     #[command(flatten)]
     memory: MemoryArgs,
+    #[command(flatten)]
+    distributed: DistributedArgs,
     /// Print a summary as JSON
     #[arg(long)]
     json: bool,
@@ -57,14 +59,22 @@ pub(crate) struct LayersArgs {
 }
 
 pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
+    match args.distributed.join()? {
+        Some(together) => together.conclude(make(args, given, Some(&together))),
+        None => make(args, given, None),
+    }
+}
+
+fn make(args: &LayersArgs, given: Given, together: Option<&Together>) -> Result<()> {
     if args.output.exists() && !args.output.is_file() {
         bail!("{}: found a device or pipe, expected a regular file", args.output.display());
     }
     args.codec.check()?;
     let seen = args.state.read(given)?;
     not_an_input(&args.output, seen.inputs(&args.volume, &args.state, &args.look))?;
+    let lighting = args.light.lighting();
     let (opened, look) =
-        seen.open(&args.volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
+        open_for(together, &seen, (&args.volume, &args.memory), &args.look, lighting, &args.lists)?;
     let orientation = opened.scene.volume.info.orientation.clone();
     let orbit = args.orbit.upright(orientation.as_deref());
     let camera = seen.camera(&orbit, 0.0, &args.view, &opened.scene.volume.bounds());
@@ -75,22 +85,22 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
     // A mean behind an oblique plane needs a path length that no box gives.
     let is_askew = look.mode == Mode::Average && look.clip.plane.is_some();
     let left = (!is_askew).then(|| opened.scene.region().bounds);
-    let pages = Pages::of(&opened.scene)?;
-    let (mut renderer, backend) = args.backend.renderer(opened.scene)?;
-    pages.show(&mut renderer, &camera)?;
+    let transfer = opened.transfer.clone();
+    let mut drawer = Drawer::new(opened, together, &args.backend)?;
+    drawer.show(&camera)?;
     let start = Instant::now();
-    let frame = renderer.generate(FrameHeader::alone(camera, look.k))?;
+    let Some((frame, ranks)) = drawer.generate(FrameHeader::alone(camera, look.k))? else { return Ok(()) };
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
     let (encoded, coding) = encode(&args.codec, &frame)?;
     let encode_ms = start.elapsed().as_secs_f64() * 1e3;
     iglf::write(&args.output, &encoded, &Origin { orientation, bounds: left })?;
     if args.json {
-        print_json(&json!({
+        let mut told = json!({
             "output": args.output.display().to_string(),
             "size": [camera.intrinsics.width, camera.intrinsics.height],
-            "backend": backend.description(),
-            "tf": opened.transfer.name,
+            "backend": drawer.description(),
+            "tf": transfer,
             "mode": frame.header.mode.name(),
             "k": look.k,
             "segments": frame.num_segments(),
@@ -105,7 +115,11 @@ pub(crate) fn run(args: &LayersArgs, given: Given) -> Result<()> {
             },
             "generate_ms": generate_ms,
             "encode_ms": encode_ms,
-        }))?;
+        });
+        if !ranks.is_empty() {
+            told["ranks"] = json!(ranks);
+        }
+        print_json(&told)?;
     }
     Ok(())
 }

@@ -22,11 +22,11 @@ use crate::args::{
     BackendArgs, ListArgs, LookArgs, PathArgs, ViewArgs, VolumeArgs, not_an_input, parse_background,
     parse_picture,
 };
+use crate::distributed::{DistributedArgs, Drawer, Together, open_for};
 use crate::given::Given;
 use crate::lens_args::LensArgs;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
-use crate::paged::Pages;
 use crate::report::print_json;
 use crate::state_args::{Seen, StateArgs};
 
@@ -59,6 +59,8 @@ pub(crate) struct RenderArgs {
     backend: BackendArgs,
     #[command(flatten)]
     memory: MemoryArgs,
+    #[command(flatten)]
+    distributed: DistributedArgs,
     /// Print a summary as JSON
     #[arg(long)]
     json: bool,
@@ -74,8 +76,20 @@ pub(crate) struct RenderArgs {
 }
 
 pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
+    match args.distributed.join()? {
+        Some(together) => together.conclude(make(args, given, Some(&together))),
+        None => make(args, given, None),
+    }
+}
+
+fn make(args: &RenderArgs, given: Given, together: Option<&Together>) -> Result<()> {
     let seen = args.state.read(given)?;
     let series = args.series(&seen)?;
+    if together.is_some() && matches!(series, Series::Times(..)) {
+        let text = "found several times with --distributed, expected one, chosen by --time";
+        return Err(clap::Error::raw(ErrorKind::ArgumentConflict, text).into());
+    }
+    let is_writer = together.is_none_or(Together::is_root);
     let is_series = !matches!(series, Series::One);
     let movie = MovieForm::of(&args.output).filter(|_| is_series);
     if !is_series && !args.output.is_dir() {
@@ -95,7 +109,8 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         Series::Times(times, _) => seen.volume(&args.volume)?.at_time(times[0]),
         _ => args.volume.clone(),
     };
-    let (opened, look) = seen.open(&volume, &args.look, lighting, &ListArgs::default(), &args.memory)?;
+    let (opened, look) =
+        open_for(together, &seen, (&volume, &args.memory), &args.look, lighting, &ListArgs::default())?;
     let bounds = opened.scene.volume.bounds();
     let mode = opened.scene.settings.mode;
     let letters = opened.scene.volume.info.orientation.clone();
@@ -105,14 +120,13 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
         anyhow::bail!("these would be {num_pictures} pictures, expected at most {MAX_PICTURES}");
     }
     let names = Names::of(&args.output, is_series);
-    if let (None, Names::Folder(folder)) = (movie, &names) {
+    if let (None, Names::Folder(folder), true) = (movie, &names, is_writer) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let at_values = look.at_values(&opened.scene);
-    let pages = Pages::of(&opened.scene)?;
-    let (renderer, backend) = args.backend.renderer(opened.scene)?;
-    let mut renderer = Some(renderer);
-    let mut progress = is_series.then(|| Progress::new("pictures", num_pictures.into()));
+    let transfer = opened.transfer.clone();
+    let mut drawer = Drawer::new(opened, together, &args.backend)?;
+    let mut progress = (is_series && is_writer).then(|| Progress::new("pictures", num_pictures.into()));
     let mut writer = None;
     let start = Instant::now();
     let mut told = None;
@@ -129,17 +143,18 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
             Series::Times(times, _) => {
                 label = times[number as usize];
                 if number > 0 {
-                    // Two volumes at a time would need memory for both.
-                    drop(renderer.take());
-                    renderer = Some(backend.renderer(scene_under(&at_values, &volume.at_time(label))?)?);
+                    let open = || scene_under(&at_values, &volume.at_time(label));
+                    drawer = drawer.with_volume(open)?;
                 }
             }
             Series::One | Series::Turn(_) => {}
         }
-        let renderer = renderer.as_mut().context("there is no renderer")?;
-        pages.show(renderer, &camera)?;
+        drawer.show(&camera)?;
         let plan = args.lens.plan(&camera, &bounds, letters.as_deref(), series.degrees(number))?;
-        let pictures = plan.draw(|views| renderer.render_mean(views))?;
+        let pictures = plan.draw(|views| drawer.render_mean(views))?;
+        if !is_writer {
+            continue;
+        }
         let render_ms = start.elapsed().as_secs_f64() * 1e3;
         let picture = plan.compose(&pictures, seen.background(args.background));
         match movie {
@@ -172,8 +187,8 @@ pub(crate) fn run(args: &RenderArgs, given: Given) -> Result<()> {
             "size": size,
             "pictures": num_pictures,
             "lens": lens,
-            "backend": backend.description(),
-            "tf": opened.transfer.name,
+            "backend": drawer.description(),
+            "tf": transfer,
             "mode": mode.name(),
             "render_ms": render_ms,
         });

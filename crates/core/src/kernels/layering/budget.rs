@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::visibility_merge::Counter;
 use super::{Listing, projection};
-use crate::camera::Pose;
+use crate::camera::{Camera, Pose};
 use crate::kernels::march::{Marcher, Scene, Texels};
 use crate::layer::{FrameHeader, LayeredFrame, MAX_K};
 use crate::mode::Mode;
@@ -94,18 +94,33 @@ pub fn second_least(counts: &SegmentCounts, k: usize) -> f32 {
 
 /// Counts rays to find the threshold of a frame. `asked.k` is K.
 pub(super) fn count<T: Texels>(scene: &Scene, marcher: &Marcher<'_, T>, asked: &FrameHeader) -> f32 {
-    let (camera, k) = (&asked.camera, usize::from(asked.k));
+    let (basis, longest) = (asked.camera.basis(), longest_list(asked.k.into()));
+    count_by(asked, |pixel, thresholds| {
+        let of = Listing::new(scene, marcher, &basis, asked.camera.near, pixel)?;
+        Some(of.counts(longest, thresholds))
+    })
+}
+
+/// The pixels whose rays are counted for a frame, by rows.
+pub(super) fn counted_pixels(camera: &Camera) -> (Vec<u32>, Vec<u32>) {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let stride = sample_stride(width, height);
-    let basis = camera.basis();
-    let rows: Vec<u32> = sampled(height, stride).collect();
+    (sampled(width, stride).collect(), sampled(height, stride).collect())
+}
+
+/// The same, where `segments` gives the number of segments of a pixel's ray at each threshold.
+pub(super) fn count_by(
+    asked: &FrameHeader,
+    segments: impl Fn((u32, u32), &[f32; NUM_THRESHOLDS]) -> Option<[u32; NUM_THRESHOLDS]> + Sync,
+) -> f32 {
+    let k = usize::from(asked.k);
+    let (columns, rows) = counted_pixels(&asked.camera);
     let count_at = |least, ratio| {
         let thresholds = thresholds(least, ratio);
         let row = |&y: &u32| {
             let mut counts = SegmentCounts::default();
-            for x in sampled(width, stride) {
-                if let Some(of) = Listing::new(scene, marcher, &basis, camera.near, (x, y)) {
-                    let num_segments = of.counts(longest_list(k), &thresholds);
+            for &x in &columns {
+                if let Some(num_segments) = segments((x, y), &thresholds) {
                     let num_lists = u32::from(num_segments[0] > 0);
                     counts = counts.sum(SegmentCounts { num_lists, num_segments });
                 }
@@ -211,7 +226,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::camera::{Camera, Intrinsics};
+    use crate::camera::Intrinsics;
     use crate::space::Aabb;
 
     #[test]

@@ -5,6 +5,7 @@
 
 pub mod budget;
 pub mod close;
+pub mod parts;
 mod pieces;
 pub mod projection;
 mod stream;

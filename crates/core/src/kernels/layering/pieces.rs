@@ -186,7 +186,7 @@ pub(super) fn whole(
 }
 
 /// The frame with these rows from the top.
-fn join_rows(header: FrameHeader, rows: Vec<LayeredFrame>) -> LayeredFrame {
+pub(super) fn join_rows(header: FrameHeader, rows: Vec<LayeredFrame>) -> LayeredFrame {
     let Intrinsics { width, .. } = header.camera.intrinsics;
     let total = rows.iter().map(LayeredFrame::num_segments).sum();
     let mut frame = LayeredFrame {

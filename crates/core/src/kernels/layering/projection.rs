@@ -46,29 +46,37 @@ pub(super) fn counts<T: Texels>(
 
 /// A piece of a ray, by sums over its steps.
 #[derive(Clone, Copy, Debug, Default)]
-struct ProjectionPiece {
-    s0: f32,
-    s1: f32,
+pub(super) struct ProjectionPiece {
+    pub(super) s0: f32,
+    pub(super) s1: f32,
     /// Greatest key.
-    peak: f32,
+    pub(super) peak: f32,
     /// Integrals of the key and its square. For a mean: of the brightness, and of the brightness times the distance.
-    first: f32,
-    second: f32,
+    pub(super) first: f32,
+    pub(super) second: f32,
     /// Integral of the brightness times the square of the distance.
-    third: f32,
+    pub(super) third: f32,
     /// Integral of the shown colour.
-    shown: glam::Vec3,
+    pub(super) shown: glam::Vec3,
 }
 
-struct RayConstants {
+pub(super) struct RayConstants {
     compositing: Compositing,
     lattice: Lattice,
     /// See [`key_limit`](crate::kernels::march::modes::key_limit).
     key_limit: f32,
 }
 
+impl RayConstants {
+    /// Of a ray whose whole lattice is this.
+    pub(super) fn of<T: Texels>(of: &Listing<'_, T>, lattice: Lattice) -> Self {
+        let compositing = of.scene.settings.mode.compositing();
+        Self { compositing, lattice, key_limit: of.marcher.key_limit }
+    }
+}
+
 impl ProjectionPiece {
-    fn of(step: &Step, ray: &RayConstants) -> Self {
+    pub(super) fn of(step: &Step, ray: &RayConstants) -> Self {
         let length = step.s1 - step.s0;
         let ends = Self { s0: step.s0, s1: step.s1, ..Self::default() };
         if ray.compositing == Compositing::Mean {
@@ -131,7 +139,7 @@ impl Piece for ProjectionPiece {
 }
 
 /// Makes a list, or counts at several thresholds.
-struct ProjectionLister<'a, const N: usize> {
+pub(super) struct ProjectionLister<'a, const N: usize> {
     scene: &'a Scene,
     ray: RayConstants,
     streams: [PieceStream<ProjectionPiece>; N],
@@ -172,27 +180,26 @@ struct Written<'a> {
 }
 
 impl<'a, const N: usize> ProjectionLister<'a, N> {
-    fn new<T: Texels>(
+    pub(super) fn new<T: Texels>(
         of: &Listing<'a, T>,
         thresholds: [f32; N],
         longest: usize,
         list: &'a mut SegmentList,
     ) -> Self {
-        let compositing = of.scene.settings.mode.compositing();
-        let ray = RayConstants { compositing, lattice: of.lattice, key_limit: of.marcher.key_limit };
+        let ray = RayConstants::of(of, of.lattice);
         let streams = thresholds.map(|threshold| PieceStream::new(threshold, longest, &of.lattice));
         let written = Written { list, kept: Kept::NONE, of: 0 };
         Self { scene: of.scene, ray, streams, kept: [Kept::NONE; N], written }
     }
 
-    fn count(mut self) -> [u32; N] {
+    pub(super) fn count(mut self) -> [u32; N] {
         for (stream, kept) in self.streams.iter_mut().zip(&mut self.kept) {
             stream.finish(&self.ray, |part| kept.add(part, &self.ray));
         }
         self.kept.map(|kept| kept.num)
     }
 
-    fn finish(mut self) {
+    pub(super) fn finish(mut self) {
         let Self { scene, ray, streams, written, .. } = &mut self;
         for stream in streams {
             stream.finish(ray, |part| written.push(scene, ray, part));
@@ -240,17 +247,24 @@ impl Written<'_> {
     }
 }
 
-impl<const N: usize> Sink for ProjectionLister<'_, N> {
+impl<const N: usize> ProjectionLister<'_, N> {
+    /// Takes the next piece, or step, of the ray.
     #[inline(always)]
-    fn step(&mut self, step: Step) -> Advance {
+    pub(super) fn take(&mut self, part: ProjectionPiece) {
         let Self { scene, ray, streams, kept, written } = self;
-        let part = ProjectionPiece::of(&step, ray);
         for (stream, kept) in streams.iter_mut().zip(kept) {
-            stream.step(ray, part, step.s0, |part| match N {
+            stream.step(ray, part, part.s0, |part| match N {
                 1 => written.push(scene, ray, part),
                 _ => kept.add(part, ray),
             });
         }
+    }
+}
+
+impl<const N: usize> Sink for ProjectionLister<'_, N> {
+    #[inline(always)]
+    fn step(&mut self, step: Step) -> Advance {
+        self.take(ProjectionPiece::of(&step, &self.ray));
         Advance::Step
     }
 }

@@ -210,7 +210,7 @@ mod tests {
     }
 
     fn segments(heights: &[f32], threshold: f32, longest: usize) -> Vec<Heights> {
-        let lattice = Lattice { s0: 0.0, h: 1.0, n: heights.len() as u32, unit: 1.0 };
+        let lattice = Lattice { s0: 0.0, h: 1.0, first: 0, n: heights.len() as u32, unit: 1.0 };
         let mut stream = PieceStream::new(threshold, longest, &lattice);
         let mut out = vec![];
         for (i, &height) in heights.iter().enumerate() {

@@ -30,10 +30,10 @@ pub(super) struct MatterPiece {
     /// Transmittance in front, at least [`VISIBILITY_FLOOR`].
     visibility: f32,
     /// Integrals over opacity of the distance from the front, in steps, and of its square.
-    first: f32,
-    second: f32,
+    pub(super) first: f32,
+    pub(super) second: f32,
     /// Integral over colour of the distance.
-    color_first: Vec3,
+    pub(super) color_first: Vec3,
 }
 
 /// Number of steps per unit of world distance.
@@ -51,6 +51,14 @@ impl MatterPiece {
             second: second * length * length,
             color_first: step.c * (first * length / greater(step.alpha, ALPHA_LEAST)),
         }
+    }
+}
+
+impl MatterPiece {
+    /// The piece behind matter of this transmittance.
+    #[inline(always)]
+    pub(super) fn seen_through(self, transmittance: f32) -> Self {
+        Self { visibility: greater(transmittance, VISIBILITY_FLOOR), ..self }
     }
 }
 
@@ -114,7 +122,7 @@ impl Piece for MatterPiece {
 /// ∫s dα and ∫s² dα on the way through a homogeneous medium of unit length: (1 − (1 + τ)e^−τ)/τ and
 /// (2 − (2 + 2τ + τ²)e^−τ)/τ², by their series where the differences would be rounding.
 #[inline(always)]
-fn even_moments(tau: f32, alpha: f32) -> (f32, f32) {
+pub(super) fn even_moments(tau: f32, alpha: f32) -> (f32, f32) {
     if tau < SERIES_BELOW {
         let first = 1.0 / 2.0 - tau * (1.0 / 3.0 - tau * (1.0 / 8.0 - tau * (1.0 / 30.0)));
         let second = 1.0 / 3.0 - tau * (1.0 / 4.0 - tau * (1.0 / 10.0 - tau * (1.0 / 36.0)));
@@ -154,15 +162,22 @@ impl<'a> Lister<'a> {
         let list = self.list;
         self.stream.finish(&self.ray, |matter| list.push(matter.all));
     }
+
+    /// Takes the next piece of the ray, whatever its visibility.
+    #[inline(always)]
+    pub(super) fn take(&mut self, matter: MatterPiece) {
+        let list = &mut *self.list;
+        let OpenSegment { s0, alpha, .. } = matter.all;
+        let matter = matter.seen_through(self.transmittance);
+        self.stream.step(&self.ray, matter, s0, |matter| list.push(matter.all));
+        self.transmittance *= 1.0 - alpha;
+    }
 }
 
 impl Sink for Lister<'_> {
     #[inline(always)]
     fn step(&mut self, step: Step) -> Advance {
-        let matter = MatterPiece::of(&step, self.transmittance, &self.ray);
-        let list = &mut *self.list;
-        self.stream.step(&self.ray, matter, step.s0, |matter| list.push(matter.all));
-        self.transmittance *= 1.0 - step.alpha;
+        self.take(MatterPiece::of(&step, self.transmittance, &self.ray));
         Advance::behind(self.transmittance)
     }
 }

@@ -7,7 +7,7 @@ use super::mixed::AnyGrid;
 use super::pages::PageLook;
 use super::{Lattice, Scene};
 use crate::kernels::march::glossy::VoxelRay;
-use crate::volume::{Lit, Occupancy, PAGE_CELLS, PAGE_POINTS, Page, PageSet, Volume};
+use crate::volume::{BRICK, Bricks, Lit, Occupancy, PAGE_CELLS, PAGE_POINTS, Page, PageSet, Volume};
 
 /// The texels of one grid.
 pub(super) struct Field<'a, T> {
@@ -43,16 +43,18 @@ pub(super) struct Run {
 }
 
 impl<'a, T: TexelsOf<'a>> Field<'a, T> {
-    /// A whole volume. `texels` are those of the first marched channel.
+    /// A whole volume, or a process's part of one in the voxel space of the whole. `texels` are those of the first marched
+    /// channel.
     pub(super) fn whole(scene: &'a Scene, texels: T) -> Self {
         let volume = &*scene.volume;
-        let shape = GridShape::whole(volume.dims());
+        let shape = GridShape::held(volume.dims(), volume.first());
+        let first_brick = Vec3::from_array(Bricks::first(volume).map(|brick| (brick * BRICK) as f32));
         let lit = scene.illumination.lit().map(|lit| &**lit);
         Self {
             place: (Vec3::ONE, Vec3::ZERO),
             level: 0,
             is_visible: true,
-            ..Self::new(scene, texels, shape, (volume, lit), &scene.occupancy, Vec3::ZERO)
+            ..Self::new(scene, texels, shape, (volume, lit), &scene.occupancy, first_brick)
         }
     }
 

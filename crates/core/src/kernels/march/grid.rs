@@ -122,8 +122,8 @@ impl<'a> TexelsOf<'a> for &'a [f32] {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GridShape {
     strides: [u32; 3],
-    /// Index at which a texel of coordinates 0 would lie, subtracted.
-    base: u32,
+    /// Index that the first texel would have in a grid from 0 on.
+    base: usize,
     /// Coordinates of the first centre.
     least: [f32; 3],
     /// Coordinates of the last centre.
@@ -135,39 +135,36 @@ pub(super) struct GridShape {
 }
 
 impl GridShape {
-    /// A grid of `dims`.
-    pub(super) fn whole(dims: [u32; 3]) -> Self {
+    /// The texels in memory of a grid: `dims` of them from `first` on. Beyond them the nearest repeats.
+    pub(super) fn held(dims: [u32; 3], first: [u32; 3]) -> Self {
         let count = dims.iter().map(|&d| u64::from(d)).product::<u64>();
-        Self {
-            strides: [1, dims[0], dims[0] * dims[1]],
-            base: 0,
-            least: [0.0; 3],
-            last: dims.map(|d| d as f32 - 1.0),
-            greatest: dims.map(|d| d.saturating_sub(2) as i32),
-            has_lanes: count <= u64::from(u32::MAX) && dims.iter().all(|&d| d > 1),
-        }
+        let has_lanes = count <= u64::from(u32::MAX) && dims.iter().all(|&d| d > 1);
+        Self::new(dims, first, std::array::from_fn(|i| first[i] + dims[i] - 1), has_lanes)
     }
 
     /// The index of the texel at coordinates inside, if it has 32 bits.
     #[inline(always)]
     fn index(&self, [x, y, z]: [u32; 3]) -> u32 {
         let [_, sy, sz] = self.strides;
-        z.wrapping_mul(sz).wrapping_add(y.wrapping_mul(sy)).wrapping_add(x).wrapping_sub(self.base)
+        z.wrapping_mul(sz).wrapping_add(y.wrapping_mul(sy)).wrapping_add(x).wrapping_sub(self.base as u32)
     }
 
     /// The part of a grid of `dims` that begins at `first` and has `side` texels along each axis. Beyond the grid its
     /// last texels repeat.
     pub(super) fn part(side: [u32; 3], first: [u32; 3], dims: [u32; 3]) -> Self {
+        Self::new(side, first, std::array::from_fn(|i| (first[i] + side[i]).min(dims[i]) - 1), true)
+    }
+
+    /// Texels in memory, `side` of them along each axis, of which those at coordinates `first` to `last` count.
+    fn new(side: [u32; 3], first: [u32; 3], last: [u32; 3], has_lanes: bool) -> Self {
         let strides = [1, side[0], side[0] * side[1]];
-        let last = |i: usize| (first[i] + side[i]).min(dims[i]) - 1;
-        let base = (0..3).map(|i| first[i].wrapping_mul(strides[i])).fold(0, u32::wrapping_add);
         Self {
             strides,
-            base,
+            base: (0..3).map(|i| first[i] as usize * strides[i] as usize).sum(),
             least: first.map(|i| i as f32),
-            last: std::array::from_fn(|i| last(i) as f32),
-            greatest: std::array::from_fn(|i| (last(i).max(1) - 1) as i32),
-            has_lanes: true,
+            last: last.map(|i| i as f32),
+            greatest: std::array::from_fn(|i| last[i].saturating_sub(1).max(first[i]) as i32),
+            has_lanes,
         }
     }
 }
@@ -192,7 +189,7 @@ impl<T: Texels> Grid<T> {
             return self.shape.index(at) as usize;
         }
         let place = |i: usize| at[i] as usize * self.shape.strides[i] as usize;
-        place(0) + place(1) + place(2)
+        place(0) + place(1) + place(2) - self.shape.base
     }
 
     /// The value at a point in voxel space.
@@ -320,7 +317,7 @@ mod tests {
 
     /// Compares bits along rays through and beside the grid, and from an eye so far away that nothing is left of it.
     fn agree<T: Texels>(texels: T, dims: [u32; 3]) {
-        let grid = Grid::new(texels, GridShape::whole(dims));
+        let grid = Grid::new(texels, GridShape::held(dims, [0; 3]));
         let mut seen = std::collections::BTreeSet::new();
         for (origin, dir, first) in [
             (Vec3::new(-1.0, 0.3, 7.1), Vec3::new(0.61, 0.27, -0.43), 0.0),
@@ -337,5 +334,30 @@ mod tests {
         }
         // Negative control: the samples differ from each other, unless there is one voxel.
         assert!(seen.len() > 3 || texels.count() == 1);
+    }
+
+    #[test]
+    fn a_part_has_the_bits_of_the_whole_at_its_coordinates() {
+        // With one texel along an axis, indices are found without lanes.
+        for (dims, first, side) in [([9u32, 8, 7], [3, 2, 1], [5, 4, 6]), ([9, 1, 7], [3, 0, 2], [6, 1, 4])] {
+            let at = |[x, y, z]: [u32; 3]| ((z * dims[1] + y) * dims[0] + x) * 37 % 251;
+            let texels = |first: [u32; 3], [nx, ny, nz]: [u32; 3]| -> Vec<u8> {
+                let all = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
+                all.map(|p| at([0, 1, 2].map(|i| first[i] + p[i])) as u8).collect()
+            };
+            let (all, some) = (texels([0; 3], dims), texels(first, side));
+            let whole = Grid::new(&all[..], GridShape::held(dims, [0; 3]));
+            let part = Grid::new(&some[..], GridShape::held(side, first));
+            let low = Vec3::from_array(first.map(|i| i as f32 + 0.5));
+            let size = Vec3::from_array(side.map(|n| n as f32 - 1.0));
+            let s: Lanes = std::array::from_fn(|m| (m as f32 + 0.3) / LANES as f32);
+            let pairs = whole.sample_lanes(low, size, &s).into_iter().zip(part.sample_lanes(low, size, &s));
+            assert!(pairs.into_iter().all(|(a, b)| a.to_bits() == b.to_bits()), "{dims:?}");
+            assert!(s.iter().all(|s| whole.nearest(low + size * *s) == part.nearest(low + size * *s)));
+            // Negative control: before the part, its face goes on.
+            let before = low - 2.0 * Vec3::X;
+            assert_ne!(whole.sample(before), part.sample(before));
+            assert_eq!(part.sample(before), whole.sample(low));
+        }
     }
 }

@@ -15,6 +15,7 @@ use super::grid::Lanes;
 use super::surfaces::sheets;
 use super::{Advance, Lattice, MarchSettings, Marcher, Scene, Sink, Step, TAU_MIN, Texels, lookup};
 use crate::kernels::raycast::opacity;
+use crate::layer::Over;
 use crate::mode::{Iso, Isos, Mode};
 use crate::transfer::{MAX_OPACITY, TABLE_BINS, TransferFunction, TransferTable};
 use crate::volume::{Bricks, Histogram, Illumination, Lighting, Matter, Occlusion, Occupancy, Volume};
@@ -280,6 +281,18 @@ impl<'a> Collected<'a> {
         Self { scene, key: -1.0, integral: Vec3::ZERO }
     }
 
+    /// What was collected, as numbers that [`Self::join`] takes.
+    pub(super) fn numbers(&self) -> [f32; 4] {
+        let Vec3 { x, y, z } = self.integral;
+        [x, y, z, self.key]
+    }
+
+    /// Adds what another one collected along another part of the ray.
+    fn join(&mut self, [x, y, z, key]: [f32; 4]) {
+        self.key = if key > self.key { key } else { self.key };
+        self.integral += Vec3::new(x, y, z);
+    }
+
     /// The colour, with its greatest channel as opacity.
     pub(super) fn rgba(&self, lattice: Lattice) -> [f32; 4] {
         let c = match self.scene.settings.mode {
@@ -288,6 +301,23 @@ impl<'a> Collected<'a> {
             mode => shown_of_key(&self.scene.table, mode == Mode::MinIp, self.key),
         };
         [c.x, c.y, c.z, c.max_element().min(1.0)]
+    }
+}
+
+impl Scene {
+    /// Premultiplied colour and opacity along a whole lattice, from what is seen along its parts from front to back.
+    pub(crate) fn seen_of_parts(&self, lattice: Lattice, parts: impl Iterator<Item = [f32; 4]>) -> [f32; 4] {
+        if self.settings.mode.is_projection() {
+            let mut all = Collected::new(self);
+            parts.for_each(|part| all.join(part));
+            return all.rgba(lattice);
+        }
+        let mut over = Over::default();
+        for [x, y, z, transmittance] in parts {
+            over.c += Vec3::new(x, y, z) * over.transmittance;
+            over.transmittance *= transmittance;
+        }
+        over.rgba()
     }
 }
 

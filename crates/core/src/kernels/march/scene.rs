@@ -262,7 +262,7 @@ impl Scene {
     pub fn max_steps(&self) -> u32 {
         let dims = match &self.pages {
             Some(pages) => Vec3::from_array(pages.set.pyramid().dims().map(|n| n as f32)),
-            None => self.volume.dims_f32(),
+            None => Vec3::from_array(self.volume.whole_dims().map(|n| n as f32)),
         };
         (dims.length() / self.settings.step_in_voxels).ceil().clamp(1.0, MAX_STEPS) as u32
     }
@@ -283,7 +283,7 @@ impl Scene {
         let step_in_world = self.settings.step_in_voxels * spacing.min_element();
         let n = ((s1 - s0) / step_in_world * share).ceil().clamp(1.0, MAX_STEPS);
         let h = (s1 - s0) / n;
-        Some(Lattice { s0, h, n: n as u32, unit: h * share })
+        Some(Lattice { s0, h, first: 0, n: n as u32, unit: h * share })
     }
 }
 

@@ -12,11 +12,11 @@
 //! it.
 
 use super::modes::Surface;
-use super::{Advance, Lattice, Sink, Step};
+use super::{Advance, Lattice, Scene, Sink, Step};
 use crate::clip::Clip;
 use crate::kernels::raycast::opacity;
 use crate::transfer::TransferTable;
-use crate::volume::{Sheet, Volume, has_lesser_bodies};
+use crate::volume::{Sheet, Volume, VoxelBox, are_lesser_bodies, area_above, has_lesser_bodies};
 
 pub(super) fn sheets(surfaces: &[Surface]) -> Vec<Sheet> {
     let sheet = |&Surface { stored, tau, .. }: &Surface| Sheet { stored, tau, is_opaque: tau > OPAQUE_TAU };
@@ -26,12 +26,29 @@ pub(super) fn sheets(surfaces: &[Surface]) -> Vec<Sheet> {
 /// Whether the bodies inside opaque surfaces, in the visible part of a volume, have lesser values.
 pub(super) fn has_lesser(surfaces: &[Surface], table: &TransferTable, volume: &Volume, clip: &Clip) -> bool {
     let is_lesser = has_lesser_bodies(&sheets(surfaces), volume, &clip.region(&volume.bounds()));
-    // Values and positions may fall where stored numbers rise.
-    is_lesser.is_some_and(|is_lesser| is_lesser == (table.x_scale > 0.0))
+    is_lesser.is_some_and(|is_lesser| in_positions(is_lesser, table))
+}
+
+/// Values and positions may fall where stored numbers rise.
+fn in_positions(is_lesser: bool, table: &TransferTable) -> bool {
+    is_lesser == (table.x_scale > 0.0)
+}
+
+impl Scene {
+    /// Of a part of a volume: the areas that decide, summed over all parts, on which side of surfaces bodies lie. The
+    /// first is that of the voxels of `own`, and the second is the same everywhere. `None` if nothing depends on it.
+    pub fn areas_of_bodies(&self, own: &VoxelBox) -> Option<[f64; 2]> {
+        area_above(&sheets(&self.surfaces), &self.volume, &self.region(), own)
+    }
+
+    /// The scene of a part, given the sum of the first area over all parts and the second.
+    pub fn with_areas_of_bodies(self, areas: [f64; 2]) -> Self {
+        Self { has_lesser_bodies: in_positions(are_lesser_bodies(areas), &self.table), ..self }
+    }
 }
 
 /// Hands crossings on as segments that do not overlap.
-pub(super) struct Thicken<'a, S> {
+pub(crate) struct Thicken<'a, S> {
     sink: &'a mut S,
     /// The last crossing.
     pending: Option<Pending>,
@@ -55,7 +72,7 @@ impl<'a, S: Sink> Thicken<'a, S> {
     }
 
     /// Hands on the last crossing and ends the ray.
-    pub(super) fn finish(mut self) {
+    pub(crate) fn finish(mut self) {
         let end = self.lattice.s0 + self.lattice.h * self.lattice.n as f32;
         if let Some(pending) = self.pending.take().filter(|_| !self.has_stopped) {
             self.hand_on(&pending, end);

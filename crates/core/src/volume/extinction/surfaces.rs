@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::Extinction;
 use crate::clip::Region;
 use crate::volume::grid::{Volume, Voxels};
+use crate::volume::world::VoxelBox;
 
 /// A surface for lighting.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +27,18 @@ pub struct Sheet {
 /// sheet.
 pub fn has_lesser_bodies(sheets: &[Sheet], volume: &Volume, region: &Region) -> Option<bool> {
     Some(!Body::of(sheets, volume, region)?.is_greater)
+}
+
+/// Of a part of a volume, two areas of the visible `region`'s faces. The first is that in voxels of `own` which have at
+/// least the number of the lowest opaque sheet. The second is that of all faces. `None` without such a sheet.
+pub fn area_above(sheets: &[Sheet], volume: &Volume, region: &Region, own: &VoxelBox) -> Option<[f64; 2]> {
+    let opaque = sheets.iter().filter(|s| s.is_opaque).map(|s| s.stored);
+    Some(areas(volume, region, opaque.min_by(f32::total_cmp)?, |voxel| own.contains(voxel)))
+}
+
+/// Whether bodies have the lesser stored numbers, given the areas of [`area_above`].
+pub fn are_lesser_bodies([above, all]: [f64; 2]) -> bool {
+    share_of([above, all]) > 0.5
 }
 
 /// A stored number, and the side of it that bodies have.
@@ -73,7 +86,17 @@ impl Body {
 /// The fraction of the visible region's faces where stored numbers are at least `stored`. At most [`FACE_SAMPLES`]
 /// voxels per side of a face count, which is fast enough for a draft. A voxel is visible if its centre is.
 fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
-    let (last, spacing) = (volume.dims().map(|d| d as i32 - 1), volume.spacing());
+    share_of(areas(volume, region, stored, |_| true))
+}
+
+/// Nothing is visible if everything is cut away.
+fn share_of([above, all]: [f64; 2]) -> f32 {
+    if all > 0.0 { (above / all) as f32 } else { 0.0 }
+}
+
+/// The area of those faces in the voxels that are `own`, and that of all faces.
+fn areas(volume: &Volume, region: &Region, stored: f32, is_own: impl Fn([u32; 3]) -> bool) -> [f64; 2] {
+    let (last, spacing) = (volume.whole_dims().map(|d| d as i32 - 1), volume.spacing());
     let first = volume.world_from_voxel(glam::Vec3::ZERO);
     // The centre of voxel i is at i.
     let in_voxels = |axis: usize, world: f32| (world - first[axis]) / spacing[axis] - 0.5;
@@ -95,8 +118,11 @@ fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
         let (mut num_above, mut num) = (0.0, 0.0);
         let mut look_at = |mut at: [i32; 3], n: i32, area: f64| {
             at[axis] = n;
-            num_above += area * f64::from(u8::from(volume.stored_at(at[0], at[1], at[2]) >= stored));
             num += area;
+            let at = at.map(|i| i as u32);
+            if is_own(at) {
+                num_above += area * f64::from(u8::from(volume.stored_in_world(at) >= stored));
+            }
         };
         for i in sampled(range[a]) {
             for j in sampled(range[b]) {
@@ -131,8 +157,7 @@ fn share_above(volume: &Volume, region: &Region, stored: f32) -> f32 {
         above += area[0] * area[1] * num_above;
         all += area[0] * area[1] * num;
     }
-    // Nothing is visible if everything is cut away.
-    if all > 0.0 { (above / all) as f32 } else { 0.0 }
+    [above, all]
 }
 
 /// Evenly spaced voxels between two, inclusive, around their middle.

@@ -1,0 +1,29 @@
+//! One volume in the memory of several processes, which make its frames and pictures together.
+//!
+//! A process holds the voxels of its own box and a few around it. What must be the same everywhere is found together:
+//! the range of values, the histogram, and on which side of surfaces bodies lie. Kernels that know no network do the
+//! rest ([`isinglass_core::kernels::layering::parts`]). An [`Exchange`] carries their words: MPI, or channels between
+//! threads.
+
+mod cluster;
+mod exchange;
+mod in_process;
+#[cfg(feature = "mpi")]
+mod mpi_world;
+mod whole;
+
+pub use cluster::{Cluster, Report};
+pub use exchange::{ClusterError, Exchange, ExchangeError, agree, same_everywhere};
+pub use in_process::InProcess;
+pub use whole::in_whole;
+
+/// Joins the processes that `mpirun` started.
+///
+/// # Errors
+/// If this program was built without MPI, or MPI does not start.
+pub fn join() -> Result<Box<dyn Exchange>, ExchangeError> {
+    #[cfg(feature = "mpi")]
+    return Ok(Box::new(mpi_world::Mpi::start()?));
+    #[cfg(not(feature = "mpi"))]
+    Err(ExchangeError::WithoutMpi)
+}

@@ -1,0 +1,293 @@
+//! One volume in the memory of all processes that `mpirun` started: `--distributed`.
+//!
+//! Every process runs the same command with the same arguments. Process 0 writes the results. An error of one is told to
+//! all, and process 0 prints it in one line.
+
+use std::sync::Arc;
+
+use anyhow::{Result, anyhow};
+use clap::Args;
+use isinglass_bench::progress::note;
+use isinglass_cluster::{Cluster, ClusterError, Exchange, Report, agree, in_whole, same_everywhere};
+use isinglass_core::camera::Camera;
+use isinglass_core::kernels::lens::{View, mean_picture};
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::look::Look;
+use isinglass_core::picture::Picture;
+use isinglass_core::volume::{GHOSTS, Lighting, Split, Volume, VoxelBox};
+use isinglass_formats::{OpenOptions, OpenedScene, Outline, Region, Selection, open, outline, scene_of};
+use isinglass_render::{Backend, Renderer};
+use serde_json::{Value, json};
+
+use crate::args::{BackendArgs, ListArgs, LookArgs, VolumeArgs};
+use crate::memory::MemoryArgs;
+use crate::paged::Pages;
+use crate::report::{Told, in_one_line};
+use crate::state_args::Seen;
+
+/// Whether several processes hold the volume.
+#[derive(Args, Clone, Copy, Debug)]
+pub(crate) struct DistributedArgs {
+    /// Hold the volume in the memory of all processes that mpirun started, each a part of it. It takes a program built
+    /// with --features distributed
+    #[arg(long)]
+    distributed: bool,
+}
+
+impl DistributedArgs {
+    /// Joins the other processes; `None` if there is no other.
+    pub(crate) fn join(self) -> Result<Option<Together>> {
+        if !self.distributed {
+            return Ok(None);
+        }
+        let exchange = isinglass_cluster::join().map_err(|e| anyhow!("--distributed: {e}"))?;
+        Ok((exchange.size() > 1).then_some(Together { exchange }))
+    }
+}
+
+/// This process among others.
+pub(crate) struct Together {
+    exchange: Box<dyn Exchange>,
+}
+
+impl Drop for Together {
+    fn drop(&mut self) {
+        // The others would wait for ever.
+        if std::thread::panicking() {
+            self.exchange.abort();
+        }
+    }
+}
+
+impl Together {
+    /// Whether this process writes the results.
+    pub(crate) fn is_root(&self) -> bool {
+        self.exchange.rank() == 0
+    }
+
+    /// Ends the work of all: with the error of the first that has one, which process 0 prints.
+    pub(crate) fn conclude(&self, result: Result<()>) -> Result<()> {
+        let agreed = match result.map_err(anyhow::Error::downcast::<ClusterError>) {
+            Err(Ok(known @ ClusterError::Rank { .. })) => Err(known),
+            Err(Ok(lost)) => self.give_up(&lost),
+            Err(Err(own)) => agree(&*self.exchange, Err(in_one_line(&own))),
+            Ok(()) => agree(&*self.exchange, Ok(())),
+        };
+        let Err(error) = agreed else { return Ok(()) };
+        if !matches!(error, ClusterError::Rank { .. }) {
+            self.give_up(&error);
+        }
+        if self.is_root() {
+            note(&format!("isinglass: {error}"));
+        }
+        // mpirun ends the others as soon as one has failed.
+        match self.exchange.all_gather(&[]) {
+            Ok(_) => Err(Told.into()),
+            Err(lost) => self.give_up(&lost.into()),
+        }
+    }
+
+    fn give_up(&self, error: &ClusterError) -> ! {
+        note(&format!("isinglass: rank {}: {error}", self.exchange.rank()));
+        self.exchange.abort();
+    }
+
+    /// Opens the own part of a volume with its look.
+    fn open(
+        &self,
+        seen: &Seen,
+        (volume, memory): (&VolumeArgs, &MemoryArgs),
+        look: &LookArgs,
+        lighting: Lighting,
+        lists: &ListArgs,
+    ) -> Result<(Opened, Look)> {
+        check_light(lighting)?;
+        let volume = seen.volume(volume)?;
+        let (source, settings) = (volume.source()?, look.march_settings(lighting)?);
+        let (part, split) = self.read(&volume, memory)?;
+        let opened = scene_of(Arc::new(part), source, look.tf.as_deref(), settings);
+        let opened = agree(&*self.exchange, opened.map_err(|e| e.to_string()))?;
+        let (OpenedScene { scene, transfer, .. }, look) = seen.under_look(opened, look, lighting, lists)?;
+        check_light(look.lighting)?;
+        if self.is_root() {
+            seen.note_oddities(scene.whole(), &look);
+        }
+        let scene = Cluster::new(&*self.exchange, split.clone()).ready(scene)?;
+        Ok((Opened { scene, split: Some(split), transfer: transfer.name }, look))
+    }
+
+    /// Reads the own part of a volume, which must fit into memory: pages are for one process alone.
+    fn read(&self, volume: &VolumeArgs, memory: &MemoryArgs) -> Result<(Volume, Split), ClusterError> {
+        let exchange = &*self.exchange;
+        let (rank, size) = (exchange.rank(), exchange.size());
+        let result = |result: Result<_>| agree(exchange, result.map_err(|e| in_one_line(&e)));
+        let reading = volume.part.reading();
+        let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options(&reading) };
+        // All processes together have room for the whole.
+        let max_bytes = options.max_bytes.saturating_mul(size as u64);
+        let source = result(volume.source().map(str::to_owned))?;
+        let before = outline(&source, &OpenOptions { max_bytes, ..options }).map_err(|e| e.to_string());
+        let before = agree(exchange, before)?;
+        let Outline { dims, spacing, shown, .. } = &before;
+        same_everywhere(exchange, "header of the file", &format!("{dims:?} voxels, {spacing:?} apart"))?;
+        let split = agree(exchange, Split::evenly(*dims, size).map_err(|e| e.to_string()))?;
+        let held = split.held(rank, GHOSTS);
+        let &Selection { time, level, series, .. } = shown;
+        let chosen = options.selection;
+        let region = Some(region_of(chosen.region, &held));
+        let selection = Selection { time, level, series, region, ..chosen };
+        let part = open(&source, &OpenOptions { selection, ..options }).map_err(|e| e.to_string());
+        let part = part.and_then(|part| cut(part, &held, *dims));
+        let part = agree(exchange, part)?;
+        let part = in_whole(exchange, part, &split.boxes()[rank], &held, *dims)?;
+        Ok((part, split))
+    }
+
+    /// The reports of all processes, in process 0.
+    fn reports(&self, own: &Report) -> Result<Vec<Value>> {
+        let ms = |time: std::time::Duration| (time.as_secs_f64() * 1e3) as f32;
+        let times = [own.counting, own.march, own.exchange, own.merge, own.gather].map(ms).map(f32::to_bits);
+        let mut words = times.to_vec();
+        words.extend([own.bytes_sent as u32, (own.bytes_sent >> 32) as u32]);
+        let all = self.exchange.gather(words).map_err(ClusterError::from)?.unwrap_or_default();
+        Ok(all
+            .iter()
+            .filter_map(|words| <[u32; 7]>::try_from(words.as_slice()).ok())
+            .map(|words| {
+                let ms = |i: usize| f32::from_bits(words[i]);
+                let bytes = u64::from(words[5]) | u64::from(words[6]) << 32;
+                json!({
+                    "counting_ms": ms(0), "march_ms": ms(1), "exchange_ms": ms(2), "merge_ms": ms(3),
+                    "gather_ms": ms(4), "bytes_sent": bytes,
+                })
+            })
+            .collect())
+    }
+}
+
+/// A volume with a look, or the own part of one.
+pub(crate) struct Opened {
+    pub(crate) scene: Scene,
+    split: Option<Split>,
+    /// Name of the transfer function.
+    pub(crate) transfer: String,
+}
+
+/// Opens a volume with its look, or the own part of it.
+pub(crate) fn open_for(
+    together: Option<&Together>,
+    seen: &Seen,
+    (volume, memory): (&VolumeArgs, &MemoryArgs),
+    look: &LookArgs,
+    lighting: Lighting,
+    lists: &ListArgs,
+) -> Result<(Opened, Look)> {
+    if let Some(together) = together {
+        return together.open(seen, (volume, memory), look, lighting, lists);
+    }
+    let (OpenedScene { scene, transfer, .. }, look) = seen.open(volume, look, lighting, lists, memory)?;
+    Ok((Opened { scene, split: None, transfer: transfer.name }, look))
+}
+
+/// Makes frames and pictures, alone or with the other processes.
+pub(crate) enum Drawer<'a> {
+    Alone(Box<Renderer>, Backend, Pages),
+    Together(&'a Together, Box<Scene>, Cluster<'a>),
+}
+
+impl<'a> Drawer<'a> {
+    /// Of what was opened. Alone, kernels run where `backend` says; parts of a volume are marched on the CPU.
+    pub(crate) fn new(opened: Opened, together: Option<&'a Together>, backend: &BackendArgs) -> Result<Self> {
+        Ok(match (together, opened.split) {
+            (Some(together), Some(split)) => {
+                let cluster = Cluster::new(&*together.exchange, split);
+                Self::Together(together, Box::new(opened.scene), cluster)
+            }
+            _ => {
+                let pages = Pages::of(&opened.scene)?;
+                let (renderer, backend) = backend.renderer(opened.scene)?;
+                Self::Alone(Box::new(renderer), backend, pages)
+            }
+        })
+    }
+
+    /// Where kernels run.
+    pub(crate) fn description(&self) -> String {
+        match self {
+            Self::Alone(_, backend, _) => backend.description(),
+            Self::Together(together, ..) => format!("cpu of {} processes", together.exchange.size()),
+        }
+    }
+
+    /// Another volume in the place of the one that is drawn alone, which ends first: both may not fit into memory.
+    pub(crate) fn with_volume(self, open: impl FnOnce() -> Result<Scene>) -> Result<Self> {
+        let Self::Alone(renderer, backend, pages) = self else { return Ok(self) };
+        drop((renderer, pages));
+        let scene = open()?;
+        let pages = Pages::of(&scene)?;
+        Ok(Self::Alone(Box::new(backend.renderer(scene)?), backend, pages))
+    }
+
+    /// Reads what a camera sees of a volume that is read by pages.
+    pub(crate) fn show(&mut self, camera: &Camera) -> Result<()> {
+        if let Self::Alone(renderer, _, pages) = self {
+            pages.show(renderer, camera)?;
+        }
+        Ok(())
+    }
+
+    /// A layered frame, and how each process made its part; nothing but in process 0.
+    pub(crate) fn generate(&mut self, header: FrameHeader) -> Result<Option<(LayeredFrame, Vec<Value>)>> {
+        match self {
+            Self::Alone(renderer, ..) => Ok(Some((renderer.generate(header)?, Vec::new()))),
+            Self::Together(together, scene, cluster) => {
+                let (frame, report) = cluster.generate(scene, header)?;
+                let reports = together.reports(&report)?;
+                Ok(frame.map(|frame| (frame, reports)))
+            }
+        }
+    }
+
+    /// The mean picture of views; empty but in process 0.
+    pub(crate) fn render_mean(&mut self, views: &[View]) -> Result<Picture> {
+        match self {
+            Self::Alone(renderer, ..) => Ok(renderer.render_mean(views)?),
+            Self::Together(_, scene, cluster) => {
+                let nothing = |view: &View| Picture::new(view.basis.width as u32, view.basis.height as u32);
+                let pictures = views.iter().map(|view| {
+                    cluster.picture(scene, view).map(|made| made.unwrap_or_else(|| nothing(view)))
+                });
+                mean_picture(pictures)?.ok_or_else(|| anyhow!("there is no view"))
+            }
+        }
+    }
+}
+
+/// Refuses what needs the voxels of other parts.
+fn check_light(lighting: Lighting) -> Result<()> {
+    if lighting.is_on() {
+        anyhow::bail!("--distributed: found ambient occlusion or shadows, expected neither of them yet");
+    }
+    Ok(())
+}
+
+/// The voxels to read of a chosen region, or of all.
+fn region_of(chosen: Option<Region>, held: &VoxelBox) -> Region {
+    let min = chosen.map_or([0; 3], |region| region.min);
+    Region {
+        min: [0, 1, 2].map(|axis| min[axis] + held.first[axis]),
+        max: [0, 1, 2].map(|axis| Some(min[axis] + held.end[axis])),
+    }
+}
+
+/// The part of what was read; volumes that are not in a file are made whole.
+fn cut(read: Volume, held: &VoxelBox, dims: [u32; 3]) -> Result<Volume, String> {
+    if read.dims() == held.dims() {
+        return Ok(read);
+    }
+    if read.dims() == dims {
+        return read.part(held).map_err(|e| e.to_string());
+    }
+    Err(format!("read {:?} voxels, expected {:?} of {dims:?}", read.dims(), held.dims()))
+}

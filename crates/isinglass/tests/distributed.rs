@@ -1,0 +1,168 @@
+//! Do several processes under mpirun show what one shows, and do all of them end where one fails?
+//!
+//! These tests need a program with the feature `distributed`, and mpirun.
+
+#[expect(dead_code, reason = "each test file uses its own part of the module")]
+mod common;
+
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use common::Bench;
+
+const BINARY: &str = env!("CARGO_BIN_EXE_isinglass");
+
+/// `mpirun`, or `None` with a word where there is nothing to test.
+fn mpirun() -> Option<Command> {
+    let found = Command::new("mpirun").arg("--version").output();
+    let version = found.map(|found| String::from_utf8_lossy(&found.stdout).into_owned());
+    let lacks = match version {
+        _ if !cfg!(feature = "distributed") => "the feature `distributed` is off",
+        Err(_) => "there is no mpirun",
+        Ok(version) => {
+            let mut command = Command::new("mpirun");
+            if version.contains("Open MPI") {
+                command.args(["--oversubscribe", "--bind-to", "none"]);
+            }
+            command.envs([("OMPI_ALLOW_RUN_AS_ROOT", "1"), ("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")]);
+            command.env("RAYON_NUM_THREADS", "1");
+            return Some(command);
+        }
+    };
+    // The whole check runs this file once more, with the feature.
+    eprintln!("skipped: {lacks}");
+    None
+}
+
+/// What `num` processes print that run the program with these words.
+fn run(bench: &Bench, num: usize, words: &str) -> Option<Output> {
+    let mut command = mpirun()?;
+    command.args(["-n", &num.to_string(), BINARY]).args(words.split_whitespace());
+    Some(command.current_dir(bench.path("")).output().expect("mpirun runs"))
+}
+
+#[test]
+fn a_program_without_mpi_names_what_it_lacks() {
+    if cfg!(feature = "distributed") {
+        println!("skipped: this program has MPI");
+        return;
+    }
+    let bench = Bench::new();
+    bench.fails("render builtin:cloud@16 -o a.png --distributed", 1, &["--features distributed"]);
+}
+
+#[test]
+fn one_to_four_processes_show_what_one_shows() {
+    let bench = Bench::new();
+    let Some(_) = mpirun() else { return };
+    const SIZE: &str = "--size 128x96 --backend cpu";
+    for (name, look) in [
+        ("builtin:cloud@48", ""),
+        ("builtin:cubus@41", "--mode iso --clip-box=-0.6,0.5,-0.7,0.6,-0.4,0.5"),
+        ("builtin:shells@56", "--mode average --orthographic"),
+    ] {
+        let orbits = ["30,20", "40,20", "60,20"];
+        for (i, orbit) in orbits.iter().enumerate() {
+            bench.ok(&format!("render {name} -o truth{i}.png --orbit {orbit} {look} {SIZE}"));
+        }
+        bench.ok(&format!("layers {name} -o single.iglf {look} {SIZE}"));
+        let seen = |frame: &str, i: usize| {
+            bench.ok(&format!("reproject {frame} -o seen.png --orbit {} --backend cpu", orbits[i]));
+            bench.json(&format!("compare truth{i}.png seen.png --json"))
+        };
+        let psnr = |frame: &str, i: usize| seen(frame, i)["psnr_db"].as_f64().unwrap_or(99.0);
+        let own = |frame: &str| {
+            bench.ok(&format!("reproject {frame} -o seen.png --backend cpu"));
+            bench.json("compare truth0.png seen.png --json")["max_abs_255"].as_u64().unwrap_or(255)
+        };
+        let of_single = own("single.iglf");
+        for num in 1..=4 {
+            let words = format!("layers {name} -o all.iglf {look} {SIZE} --distributed");
+            let output = run(&bench, num, &words).expect("mpirun is there");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let off = own("all.iglf");
+            // Rounding of the codec comes on top.
+            assert!(off <= of_single + 1, "{name}, {num} processes: {off}/255, one {of_single}/255");
+            if num == 1 {
+                let [all, single] = ["all.iglf", "single.iglf"].map(|name| std::fs::read(bench.path(name)));
+                assert_eq!(all.expect("a frame"), single.expect("a frame"), "the ordinary way, to the bit");
+            }
+            // Small pictures of small volumes: on a scan the margins are .1 and .3 dB.
+            for (i, margin) in [(1, 0.25), (2, 0.5)] {
+                let [found, expected] = ["all.iglf", "single.iglf"].map(|frame| psnr(frame, i));
+                assert!(found > expected - margin, "{name}, {num}: {found} dB, one process {expected}");
+            }
+            let words = format!("render {name} -o all.png --orbit 30,20 {look} {SIZE} --distributed");
+            let output = run(&bench, num, &words).expect("mpirun is there");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let off = bench.json("compare truth0.png all.png --json")["max_abs_255"].as_u64();
+            assert!(off.is_some_and(|off| off <= 1), "{name}, {num} processes: {off:?}/255");
+        }
+        // The control: another view is another picture.
+        assert!(psnr("single.iglf", 1) < 60.0);
+    }
+}
+
+#[test]
+fn an_error_of_one_is_one_line_and_ends_all() {
+    let bench = Bench::new();
+    let Some(mut command) = mpirun() else { return };
+    bench.ok("layers builtin:cloud@16 -o other.iglf --size 16x16 --backend cpu");
+    for (second, expected) in [
+        ("nowhere.nrrd", "rank 1: nowhere.nrrd"),
+        ("builtin:cloud@40", "rank 1: header of the file: found [40, 40, 40] voxels"),
+    ] {
+        let mut command = mpirun().expect("it was there");
+        let part = |name: &str| format!("-n 1 {BINARY} layers {name} -o a.iglf --size 16x16 --distributed");
+        let words = format!("{} : {}", part("builtin:cloud@32"), part(second));
+        let output = command.args(words.split_whitespace()).current_dir(bench.path("")).output();
+        let output = output.expect("mpirun runs");
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        let ours: Vec<_> = text.lines().filter(|line| line.starts_with("isinglass")).collect();
+        assert!(ours.len() == 1 && ours[0].contains(expected), "{text}");
+        assert_eq!(output.status.code(), Some(1), "{text}");
+    }
+    // Too many processes, and what is not there yet.
+    for (words, expected) in [
+        ("layers builtin:cloud@8 -o a.iglf --distributed", "parts of [8, 8, 8] voxels, expected fewer"),
+        ("render builtin:cloud@32 -o a.png --shadows 1 --distributed", "expected neither"),
+    ] {
+        let output = run(&bench, 2, words).expect("it was there");
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        let ours: Vec<_> = text.lines().filter(|line| line.starts_with("isinglass")).collect();
+        assert!(ours.len() == 1 && ours[0].contains(expected), "{text}");
+    }
+    // Somebody who is killed.
+    let words = "layers builtin:cloud@160 -o a.iglf --size 1600x1200 --distributed";
+    let command = command.args(["-n", "3", BINARY]).args(words.split_whitespace());
+    let started = command.current_dir(bench.path("")).stderr(Stdio::null()).spawn();
+    let mut job = started.expect("mpirun starts");
+    let victim = child_of(&job);
+    let killed = Command::new("kill").args(["-9", &victim.to_string()]).status();
+    assert!(killed.is_ok_and(|status| status.success()));
+    let since = Instant::now();
+    let ended = loop {
+        if let Some(ended) = job.try_wait().expect("the job is ours") {
+            break ended;
+        }
+        assert!(since.elapsed() < Duration::from_secs(60), "the others still run");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert!(!ended.success());
+    println!("the job ended {:.1} s after one of its processes", since.elapsed().as_secs_f32());
+}
+
+/// The number of a process that mpirun has started and that has been at work for a moment.
+fn child_of(job: &Child) -> u32 {
+    for _ in 0..1000 {
+        std::thread::sleep(Duration::from_millis(20));
+        let found = Command::new("ps").args(["-o", "pid=,comm=", "--ppid", &job.id().to_string()]).output();
+        let text = found.map(|found| String::from_utf8_lossy(&found.stdout).into_owned()).unwrap_or_default();
+        let of_ours = text.lines().find(|line| line.contains("isinglass"));
+        if let Some(pid) = of_ours.and_then(|line| line.split_whitespace().next()?.parse().ok()) {
+            std::thread::sleep(Duration::from_millis(500));
+            return pid;
+        }
+    }
+    panic!("mpirun starts no process");
+}
