@@ -133,7 +133,8 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
 fn outline_by_pages(source: &str, options: &OpenOptions) -> Result<Option<Outline>, FormatError> {
     let asks_for_finest =
         options.selection.level.is_none_or(|level| level == 0) && options.reading.thin.is_none();
-    if !options.by_pages || !asks_for_finest || options.reading.labels.is_some() {
+    let may_be = options.by_pages && options.max_bytes >= LEAST_FOR_PAGES;
+    if !may_be || !asks_for_finest || options.reading.labels.is_some() {
         return Ok(None);
     }
     let fits = |outline: &Outline| {
@@ -427,6 +428,8 @@ pub(crate) fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(|| shown(path), |name| shown(Path::new(name)))
 }
 
+/// Least memory for reading by pages: a coarsest level, some pages, and what is kept of the file.
+const LEAST_FOR_PAGES: u64 = 128 << 20;
 /// 8 GiB: a volume of 2048³ bytes, which about fills a large GPU.
 const DEFAULT_MAX_BYTES: u64 = 8 << 30;
 /// Most files in a folder.

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::contents::{Contents, FORMAT, Listed};
+use super::contents::{ArrayFile, FORMAT, Listed};
 use super::coordinates::{self, Coordinates, Scales, Unit};
 
 use crate::axes::{Geometry, World};
@@ -26,7 +26,7 @@ fn other_axes(array: &Listed) -> String {
 }
 
 /// The plan of `array`.
-pub(super) fn plan(contents: &Contents, array: &Listed, scales: &Scales) -> Result<Plan, String> {
+pub(super) fn plan(contents: &ArrayFile, array: &Listed, scales: &Scales) -> Result<Plan, String> {
     let (dtype, endian) = array.kind.clone()?;
     let found = coordinates::of_array(Some(contents), array, scales);
     let (kinds, is_guess) = kinds(&array.shape, &found);

@@ -9,12 +9,12 @@ use std::thread;
 
 use hdf5_pure::{AttrValue, Datatype, DatatypeByteOrder, Group};
 
-use super::source::{Metadata, SharedFile};
+use super::source::{MetadataSource, SharedFile};
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, one_line, shown};
 
 /// An open file. Only [`with_contents`] makes one, on a thread of its own.
-pub(super) struct Contents {
+pub(super) struct ArrayFile {
     pub(super) metadata: hdf5_pure::File,
     pub(super) bytes: Arc<SharedFile>,
 }
@@ -39,13 +39,13 @@ pub(super) struct Attributes(HashMap<String, AttrValue>);
 pub(super) fn with_contents<T: Send>(
     file: File,
     path: &Path,
-    work: impl FnOnce(&Contents) -> Result<T, FormatError> + Send,
+    work: impl FnOnce(&ArrayFile) -> Result<T, FormatError> + Send,
 ) -> Result<T, FormatError> {
     let bytes = Arc::new(SharedFile::new(file).map_err(io_error(path))?);
     let bad = malformed(path, FORMAT);
     let open = move || {
-        let metadata = hdf5_pure::File::from_source(Metadata::new(Arc::clone(&bytes)));
-        work(&Contents { metadata: metadata.map_err(|e| bad(problem(&e)))?, bytes })
+        let metadata = hdf5_pure::File::from_source(MetadataSource::new(Arc::clone(&bytes)));
+        work(&ArrayFile { metadata: metadata.map_err(|e| bad(problem(&e)))?, bytes })
     };
     thread::scope(|scope| {
         let thread = thread::Builder::new().name("hdf5".into()).stack_size(STACK_BYTES);
@@ -54,7 +54,7 @@ pub(super) fn with_contents<T: Send>(
     })
 }
 
-impl Contents {
+impl ArrayFile {
     /// All arrays at `inside` or below it.
     pub(super) fn arrays(
         &self,

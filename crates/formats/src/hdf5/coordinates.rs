@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::contents::{Attributes, Contents, Listed};
+use super::contents::{ArrayFile, Attributes, Listed};
 use super::storage::Storage;
 use crate::plan::AxisKind;
 use crate::units::{length_unit, time_unit};
@@ -52,7 +52,7 @@ impl<'a> Scales<'a> {
 }
 
 /// The axes of `array`, the slowest first. Coordinates are read only from `contents`.
-pub(super) fn of_array(contents: Option<&Contents>, array: &Listed, scales: &Scales) -> Vec<Coordinates> {
+pub(super) fn of_array(contents: Option<&ArrayFile>, array: &Listed, scales: &Scales) -> Vec<Coordinates> {
     let mut axes = vec![Coordinates::default(); array.shape.len()];
     set_names(&mut axes, &array.attributes);
     set_tags(&mut axes, &array.attributes);
@@ -131,7 +131,7 @@ impl Scales<'_> {
 }
 
 impl Coordinates {
-    fn set_scale(&mut self, contents: Option<&Contents>, scale: &Listed) {
+    fn set_scale(&mut self, contents: Option<&ArrayFile>, scale: &Listed) {
         let name = scale.path.rsplit('/').next().unwrap_or_default();
         let words =
             ["standard_name", "axis", "long_name"].map(|key| scale.attributes.text(key).unwrap_or_default());

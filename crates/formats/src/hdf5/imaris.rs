@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use isinglass_core::volume::MAX_CHANNELS;
 
-use super::contents::{Attributes, Contents};
+use super::contents::{ArrayFile, Attributes};
 use super::storage;
 use crate::axes::Geometry;
 use crate::dtype::{Dtype, Endian};
@@ -35,7 +35,7 @@ pub(super) struct Imaris {
 }
 
 /// Whether the file is of Imaris.
-pub(super) fn is_imaris(contents: &Contents) -> bool {
+pub(super) fn is_imaris(contents: &ArrayFile) -> bool {
     contents.array(&array_path(0, 0, 0)).is_ok_and(|array| array.shape.len() == 3)
 }
 
@@ -46,7 +46,7 @@ pub(super) fn array_path(level: usize, time: usize, channel: usize) -> String {
 
 impl Imaris {
     /// Reads what the file says of its image.
-    pub(super) fn read(contents: &Contents) -> Result<Self, String> {
+    pub(super) fn read(contents: &ArrayFile) -> Result<Self, String> {
         let first = contents.array(&array_path(0, 0, 0))?;
         storage::check(&first)?;
         let (dtype, endian) = first.kind?;
@@ -119,7 +119,7 @@ impl Imaris {
 }
 
 /// The voxels of a level along x, y and z.
-fn dims(contents: &Contents, level: usize) -> Result<[u64; 3], String> {
+fn dims(contents: &ArrayFile, level: usize) -> Result<[u64; 3], String> {
     let array = contents.array(&array_path(level, 0, 0))?;
     let [z, y, x] = array.shape[..] else {
         return Err(format!("{} has {} axes, expected three", array.description(), array.shape.len()));

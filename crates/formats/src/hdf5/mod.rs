@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
-use self::contents::{Contents, FORMAT, Listed, with_contents};
+use self::contents::{ArrayFile, FORMAT, Listed, with_contents};
 use self::coordinates::Scales;
 use self::imaris::Imaris;
 use self::storage::Storage;
@@ -31,12 +31,12 @@ use crate::warning::WarningKind;
 pub(crate) struct Hdf5File {
     plan: Plan,
     path: PathBuf,
-    image: Image,
+    image: ShownImage,
     most_bytes: u64,
 }
 
 /// The arrays of an image.
-enum Image {
+enum ShownImage {
     /// One, at this path within the file.
     Array(String),
     /// One for each channel and point in time of this level.
@@ -68,11 +68,11 @@ impl Hdf5File {
             open_array(contents, path, inside, (selected, cancel))
         })?;
         let (mut plan, image) = match found {
-            Found::Array(plan, name) => (*plan, Image::Array(name)),
+            Found::Array(plan, name) => (*plan, ShownImage::Array(name)),
             Found::Imaris(found) => {
                 let level = found.level(path, options)?;
                 let finest = (level > 0).then(|| Box::new(found.clone().plan(0)));
-                (found.plan(level), Image::Imaris { level, finest })
+                (found.plan(level), ShownImage::Imaris { level, finest })
             }
         };
         warn_of_level(&mut plan, options);
@@ -89,7 +89,7 @@ enum Found {
 
 /// Chooses an array at `inside` or below it: the one that is `selected`, or the largest.
 fn open_array(
-    contents: &Contents,
+    contents: &ArrayFile,
     path: &Path,
     inside: &str,
     (selected, cancel): (Option<u32>, Option<&AtomicBool>),
@@ -193,8 +193,8 @@ impl VolumeFile for Hdf5File {
     }
 
     fn finest_level(&self) -> Option<Box<dyn VolumeFile>> {
-        let Image::Imaris { finest: Some(plan), .. } = &self.image else { return None };
-        let image = Image::Imaris { level: 0, finest: None };
+        let ShownImage::Imaris { finest: Some(plan), .. } = &self.image else { return None };
+        let image = ShownImage::Imaris { level: 0, finest: None };
         let (plan, path) = (Plan::clone(plan), self.path.clone());
         Some(Box::new(Self { plan, path, image, most_bytes: self.most_bytes }))
     }
@@ -204,8 +204,8 @@ impl Hdf5File {
     /// The arrays that are read, and the channel that each is, counted from the first that is read.
     fn parts(&self, collector: &Collector) -> Vec<(usize, String)> {
         match &self.image {
-            Image::Array(path) => vec![(0, path.clone())],
-            Image::Imaris { level, .. } => {
+            ShownImage::Array(path) => vec![(0, path.clone())],
+            ShownImage::Imaris { level, .. } => {
                 let [.., channels, time] = collector.selected() else { return Vec::new() };
                 let time = time.range.start as usize;
                 let name = |channel| imaris::array_path(*level, time, channel as usize);
@@ -221,7 +221,7 @@ impl Hdf5File {
         collector: &mut Collector,
     ) -> Result<(), FormatError> {
         let num_axes = storage.shape.len();
-        let is_array = matches!(self.image, Image::Array(_));
+        let is_array = matches!(self.image, ShownImage::Array(_));
         let grid = ChunkGrid {
             sides: &storage.sides,
             order: &storage.order,
@@ -236,7 +236,7 @@ impl Hdf5File {
         grid.check_sizes(collector, &self.path, self.most_bytes)?;
         let chunks = storage.chunks(|start| start.len() == num_axes && grid.num_within(start) > 0);
         let cancel = collector.cancel();
-        let pieces = |chunk: &storage::Stored| -> Result<Vec<Piece>, FormatError> {
+        let pieces = |chunk: &storage::StoredChunk| -> Result<Vec<Piece>, FormatError> {
             if cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
                 return Err(FormatError::Cancelled { path: shown(&self.path) });
             }

@@ -39,13 +39,13 @@ impl SharedFile {
 
 /// The metadata of a file. Their trees may have circles, and their sizes may be anything, so the reader gets an end of
 /// bytes: a few times the file, in blocks of a bounded size.
-pub(super) struct Metadata {
+pub(super) struct MetadataSource {
     file: Arc<SharedFile>,
     /// Bytes that may still be read.
     left: AtomicU64,
 }
 
-impl Metadata {
+impl MetadataSource {
     pub(super) fn new(file: Arc<SharedFile>) -> Self {
         let most = file.length.saturating_mul(READS_OF_ALL).saturating_add(LEAST_BYTES).min(MOST_BYTES);
         Self { file, left: AtomicU64::new(most) }
@@ -71,7 +71,7 @@ impl Metadata {
     }
 }
 
-impl Source for Metadata {
+impl Source for MetadataSource {
     fn len(&self) -> u64 {
         self.file.length
     }
@@ -110,7 +110,7 @@ mod tests {
     fn the_reader_of_metadata_comes_to_an_end() {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(&[7; 1000]).unwrap();
-        let metadata = Metadata::new(Arc::new(SharedFile::new(file).unwrap()));
+        let metadata = MetadataSource::new(Arc::new(SharedFile::new(file).unwrap()));
         assert_eq!(metadata.read_exact_at(998, 2).unwrap(), [7, 7]);
         assert!(metadata.read_exact_at(998, 3).is_err() && metadata.read_at(u64::MAX, &mut [0]).is_err());
         assert!(metadata.count(0, 1 << 20).unwrap_err().to_string().contains("of 1000 bytes"));

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use hdf5_pure::{ChunkIndex, Dataset, Error, Filter, Layout};
 
-use super::contents::{Contents, Listed, problem};
+use super::contents::{ArrayFile, Listed, problem};
 use super::source::SharedFile;
 use crate::chunk_grid::{MAX_CHUNKS, next_index};
 use crate::dtype::{Dtype, Endian};
@@ -34,12 +34,12 @@ enum Place {
     Here(Vec<u8>),
     /// One after the other from this byte on.
     At(u64),
-    Chunks(Vec<Stored>),
+    Chunks(Vec<StoredChunk>),
 }
 
 /// A chunk in the file.
 #[derive(Clone)]
-pub(super) struct Stored {
+pub(super) struct StoredChunk {
     /// Its first number along each axis.
     pub(super) start: Vec<u64>,
     address: u64,
@@ -50,7 +50,7 @@ pub(super) struct Stored {
 
 impl Storage {
     /// Finds the numbers of an array. A chunk may have at most `most_bytes`.
-    pub(super) fn of(contents: &Contents, array: &Listed, most_bytes: u64) -> Result<Self, String> {
+    pub(super) fn of(contents: &ArrayFile, array: &Listed, most_bytes: u64) -> Result<Self, String> {
         let (dtype, endian) = array.kind.clone()?;
         let dataset = &array.dataset;
         let (filters, layout) = check(array)?;
@@ -75,13 +75,13 @@ impl Storage {
                     ));
                 }
                 let chunks = dataset.chunks().map_err(|e| problem(&e))?;
-                let chunks = chunks.into_iter().map(|chunk| Stored {
+                let chunks = chunks.into_iter().map(|chunk| StoredChunk {
                     start: chunk.offset,
                     address: chunk.address,
                     size: chunk.storage_size,
                     mask: chunk.filter_mask,
                 });
-                let chunks: Vec<Stored> = chunks.collect();
+                let chunks: Vec<StoredChunk> = chunks.collect();
                 if let Some(empty) = empty_row(&shape, &chunk_shape, &chunks) {
                     fill = fill_of(dataset, &shape, empty, size)?;
                 }
@@ -102,7 +102,7 @@ impl Storage {
     }
 
     /// The chunks that are stored and that `is_wanted` by their first number.
-    pub(super) fn chunks(&self, is_wanted: impl Fn(&[u64]) -> bool) -> Vec<Stored> {
+    pub(super) fn chunks(&self, is_wanted: impl Fn(&[u64]) -> bool) -> Vec<StoredChunk> {
         let at = match &self.place {
             Place::Chunks(chunks) => return chunks.iter().filter(|c| is_wanted(&c.start)).cloned().collect(),
             Place::Nowhere => return Vec::new(),
@@ -127,7 +127,7 @@ impl Storage {
                     .zip(&strides)
                     .fold(at, |sum, (i, n)| sum.saturating_add(i.saturating_mul(*n)));
                 let size = self.bytes_of_chunk().min(end.saturating_sub(offset));
-                found.push(Stored { start, address: offset, size, mask: 0 });
+                found.push(StoredChunk { start, address: offset, size, mask: 0 });
             }
             if !next_index(&mut index, &counts) {
                 return found;
@@ -136,7 +136,7 @@ impl Storage {
     }
 
     /// The numbers of a chunk, as bytes.
-    pub(super) fn bytes(&self, chunk: &Stored) -> Result<Vec<u8>, String> {
+    pub(super) fn bytes(&self, chunk: &StoredChunk) -> Result<Vec<u8>, String> {
         let num_bytes = self.bytes_of_chunk();
         if let Place::Here(bytes) = &self.place {
             return Ok(bytes.clone());
@@ -275,7 +275,7 @@ fn divided(shape: &[u64], bytes_per_number: u64) -> Vec<u64> {
 }
 
 /// A number along the slowest axis at which no chunk is stored.
-fn empty_row(shape: &[u64], sides: &[u64], chunks: &[Stored]) -> Option<u64> {
+fn empty_row(shape: &[u64], sides: &[u64], chunks: &[StoredChunk]) -> Option<u64> {
     let num_rows = shape[0].div_ceil(sides[0]);
     let mut is_there = vec![false; num_rows as usize];
     for chunk in chunks {
