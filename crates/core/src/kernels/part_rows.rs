@@ -52,7 +52,7 @@ pub enum PartsError {
     },
 }
 
-/// The rows of a picture that a process unites: blocks of [`BLOCK`] rows, dealt in turn.
+/// The rows of a picture that a process unites: blocks of `BLOCK` rows, dealt in turn.
 pub fn rows_of(rank: usize, num_ranks: usize, height: u32) -> Vec<u32> {
     (0..height).filter(|row| (row / BLOCK) as usize % num_ranks.max(1) == rank).collect()
 }

@@ -130,7 +130,7 @@ fn cut<T: Copy>(all: &[T], dims: [u32; 3], voxels: &VoxelBox) -> Vec<T> {
     rows.flat_map(|row| &all[row + x..row + ex]).copied().collect()
 }
 
-/// The voxels along an axis of a whole that are sampled: in the middle of at most [`MOST_SAMPLES`] equal parts.
+/// The voxels along an axis of a whole that are sampled: in the middle of at most `MOST_SAMPLES` equal parts.
 pub fn sample_places(num_voxels: u32) -> Vec<u32> {
     let num = num_voxels.min(MOST_SAMPLES);
     (0..num).map(|i| ((2 * u64::from(i) + 1) * u64::from(num_voxels) / (2 * u64::from(num))) as u32).collect()
