@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use crate::args::{BackendArgs, ListArgs, LookArgs, VolumeArgs};
 use crate::memory::MemoryArgs;
 use crate::paged::Pages;
-use crate::report::{Told, in_one_line};
+use crate::report::{AlreadyTold, in_one_line};
 use crate::state_args::Seen;
 
 /// Whether several processes hold the volume.
@@ -83,7 +83,7 @@ impl Together {
         }
         // mpirun ends the others as soon as one has failed.
         match self.exchange.all_gather(&[]) {
-            Ok(_) => Err(Told.into()),
+            Ok(_) => Err(AlreadyTold.into()),
             Err(lost) => self.give_up(&lost.into()),
         }
     }

@@ -52,15 +52,15 @@ fn one_line(text: &str) -> String {
 
 /// An error that another process has printed, or this one.
 #[derive(Debug)]
-pub(crate) struct Told;
+pub(crate) struct AlreadyTold;
 
-impl std::fmt::Display for Told {
+impl std::fmt::Display for AlreadyTold {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("a process has failed")
     }
 }
 
-impl std::error::Error for Told {}
+impl std::error::Error for AlreadyTold {}
 
 /// An error with its causes in one line.
 pub(crate) fn in_one_line(error: &anyhow::Error) -> String {
@@ -69,7 +69,7 @@ pub(crate) fn in_one_line(error: &anyhow::Error) -> String {
 }
 
 pub(crate) fn failure(error: &anyhow::Error) -> ExitCode {
-    if error.is::<Told>() {
+    if error.is::<AlreadyTold>() {
         return ExitCode::FAILURE;
     }
     // Some bad usage only appears when several arguments are combined.

@@ -25,7 +25,7 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use self::field::{Field, Fields, Run};
+use self::field::{Fields, MarchField, Run};
 pub use self::glossy::Highlight;
 use self::glossy::{LightLanes, VoxelRay};
 use self::grid::{LANES, Lanes, mix};
@@ -330,7 +330,7 @@ impl<T: Texels> Marcher<'_, T> {
     #[inline(always)]
     fn march_field<const MODE: u8>(
         &self,
-        (field, ray): (&Field<'_, T>, &VoxelRay),
+        (field, ray): (&MarchField<'_, T>, &VoxelRay),
         lattice: Lattice,
         run: Run,
         walk: &mut Walk,

@@ -10,7 +10,7 @@ use crate::kernels::march::glossy::VoxelRay;
 use crate::volume::{BRICK, Bricks, Lit, Occupancy, PAGE_CELLS, PAGE_POINTS, Page, PageSet, Volume};
 
 /// The texels of one grid.
-pub(super) struct Field<'a, T> {
+pub(super) struct MarchField<'a, T> {
     pub(super) voxels: Grid<T>,
     pub(super) lit: Option<(Grid<&'a [u8]>, &'a Lit)>,
     /// Voxels with nothing in them.
@@ -42,7 +42,7 @@ pub(super) struct Run {
     pub(super) pace: u32,
 }
 
-impl<'a, T: TexelsOf<'a>> Field<'a, T> {
+impl<'a, T: TexelsOf<'a>> MarchField<'a, T> {
     /// A whole volume, or a process's part of one in the voxel space of the whole. `texels` are those of the first marched
     /// channel.
     pub(super) fn whole(scene: &'a Scene, texels: T) -> Self {
@@ -106,7 +106,7 @@ impl<'a, T: TexelsOf<'a>> Field<'a, T> {
     }
 }
 
-impl<T: Texels> Field<'_, T> {
+impl<T: Texels> MarchField<'_, T> {
     /// A ray of the scene's voxel space in that of the texels.
     #[inline(always)]
     pub(super) fn ray(&self, ray: &VoxelRay) -> VoxelRay {
@@ -118,9 +118,9 @@ impl<T: Texels> Field<'_, T> {
 /// The fields of a scene.
 pub(super) struct Fields<'a, T> {
     /// The whole volume; of a scene with pages, its coarsest level.
-    whole: Field<'a, T>,
+    whole: MarchField<'a, T>,
     /// The pages, in the order of their set.
-    pages: Vec<Field<'a, T>>,
+    pages: Vec<MarchField<'a, T>>,
     set: Option<&'a PageSet>,
     /// Greatest index of the finest level along x, y, z.
     last: Vec3,
@@ -128,13 +128,13 @@ pub(super) struct Fields<'a, T> {
 
 impl<'a, T: TexelsOf<'a>> Fields<'a, T> {
     pub(super) fn of(scene: &'a Scene, texels: T) -> Self {
-        let whole = Field::whole(scene, texels);
+        let whole = MarchField::whole(scene, texels);
         let Some(pages) = &scene.pages else {
             return Self { whole, pages: Vec::new(), set: None, last: Vec3::ZERO };
         };
         let set = &*pages.set;
         let each = set.pages().iter().zip(&pages.looks);
-        let fields = each.map(|(page, look)| Field::page(scene, set, page, look)).collect();
+        let fields = each.map(|(page, look)| MarchField::page(scene, set, page, look)).collect();
         let last = Vec3::from_array(set.pyramid().dims().map(|n| n as f32 - 1.0));
         Self { whole, pages: fields, set: Some(set), last }
     }
@@ -150,7 +150,7 @@ impl<'a, T: Texels> Fields<'a, T> {
         lattice: Lattice,
         i: &mut u32,
         stride: u32,
-    ) -> Option<(&Field<'a, T>, Run)> {
+    ) -> Option<(&MarchField<'a, T>, Run)> {
         let n = lattice.n;
         let Some(set) = self.set else {
             return (*i < n).then_some((&self.whole, Run { end: n, limit: n, pace: 1 }));

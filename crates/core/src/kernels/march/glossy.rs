@@ -12,7 +12,7 @@
 
 use glam::Vec3;
 
-use super::field::Field;
+use super::field::MarchField;
 use super::grid::{LANES, Lanes};
 use super::{Marcher, Scene, Texels};
 use crate::layer::COLOR_MAX;
@@ -116,7 +116,7 @@ impl<T: Texels> Marcher<'_, T> {
     #[inline(always)]
     pub(super) fn light_lanes(
         &self,
-        field: &Field<'_, T>,
+        field: &MarchField<'_, T>,
         ray: &VoxelRay,
         s_front: &Lanes,
         s_back: &Lanes,
@@ -159,7 +159,7 @@ impl<T: Texels> Marcher<'_, T> {
     }
 
     /// The same for any distance along the ray.
-    pub(super) fn light_at(&self, field: &Field<'_, T>, ray: &VoxelRay, s: f32) -> PointLight {
+    pub(super) fn light_at(&self, field: &MarchField<'_, T>, ray: &VoxelRay, s: f32) -> PointLight {
         let p = ray.origin + ray.dir * s;
         let brightness = field.lit.as_ref().map_or(1.0, |(grid, lit)| brightness_of(lit, grid.sample(p)));
         let mirrored = self.highlight.as_ref().map_or(0.0, |highlight| {

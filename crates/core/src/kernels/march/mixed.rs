@@ -11,7 +11,7 @@
 
 use glam::Vec3;
 
-use super::field::{Field, Run};
+use super::field::{MarchField, Run};
 use super::glossy::VoxelRay;
 use super::grid::{Grid, GridShape, LANES, Lanes};
 use super::skipper::{Skipper, VisibleBins};
@@ -121,7 +121,7 @@ impl<T: Texels> Marcher<'_, T> {
     #[inline(always)]
     pub(super) fn march_channels(
         &self,
-        (field, ray): (&Field<'_, T>, &VoxelRay),
+        (field, ray): (&MarchField<'_, T>, &VoxelRay),
         lattice: Lattice,
         run: Run,
         walk: &mut Walk,

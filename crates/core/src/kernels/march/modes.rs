@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::field::Field;
+use super::field::MarchField;
 use super::glossy::{PointLight, VoxelRay};
 use super::grid::Lanes;
 use super::surfaces::sheets;
@@ -194,7 +194,7 @@ impl<T: Texels> Marcher<'_, T> {
         &self,
         &SamplePair { x0, x1, s0, s1 }: &SamplePair,
         light: PointLight,
-        (field, ray): (&Field<'_, T>, &VoxelRay),
+        (field, ray): (&MarchField<'_, T>, &VoxelRay),
         sink: &mut impl Sink,
     ) -> Option<Advance> {
         if MODE == SURFACES {
@@ -226,7 +226,7 @@ impl<T: Texels> Marcher<'_, T> {
     fn cross(
         &self,
         ends: &SamplePair,
-        (field, ray): (&Field<'_, T>, &VoxelRay),
+        (field, ray): (&MarchField<'_, T>, &VoxelRay),
         sink: &mut impl Sink,
     ) -> Option<Advance> {
         let mut pace = None;

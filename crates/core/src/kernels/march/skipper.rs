@@ -2,7 +2,7 @@
 
 use glam::{BVec3, Vec3};
 
-use super::field::{Field, Run};
+use super::field::{MarchField, Run};
 use super::grid::{LANES, Lanes};
 use super::{Lattice, STRIDE, bin};
 use crate::transfer::{TABLE_BINS, TransferTable};
@@ -25,7 +25,7 @@ pub(super) struct Skipper<'a> {
 impl<'a> Skipper<'a> {
     #[inline(always)]
     pub(super) fn new<T>(
-        field: &'a Field<'_, T>,
+        field: &'a MarchField<'_, T>,
         (origin, dir): (Vec3, Vec3),
         lattice: Lattice,
         run: Run,
