@@ -1,13 +1,16 @@
 // The march through a volume: steps along a ray, classified and shaded, handed to sink_step. Twin of
 // crates/core/src/kernels/march.rs; the derivations are there.
 //
-// Parts after this one define four things. First, a sample (march/one.wgsl or mixed.wgsl):
+// Parts after this one define five things. First, the fields of texels that a ray meets (march/whole.wgsl or pages.wgsl):
+//   fn run_at(line: Line, lattice: Lattice, from_point: u32, stride: u32) -> Run
+// which enters the field at a lattice point. Until the next call, the others of that part tell of this field.
+// Second, a sample (march/one.wgsl or mixed.wgsl):
 //   At, fn at_point(p: vec3f) -> At
-// Second, where there is nothing (march/gaps.wgsl or a generated line):
+// Third, where there is nothing (march/gaps.wgsl or a generated line):
 //   fn is_gap(p: vec3f) -> bool
-// Third, what matter sends to the eye (march/matte.wgsl or glossy.wgsl):
+// Fourth, what matter sends to the eye (march/matte.wgsl or glossy.wgsl):
 //   fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f
-// Fourth, what the mode makes of two neighbouring samples (the other march/*.wgsl):
+// Fifth, what the mode makes of two neighbouring samples (the other march/*.wgsl):
 //   fn take(between: Between) -> u32
 // It hands what is visible between them, front to back, to a part that says what becomes of the steps:
 //   fn sink_step(step: Step) -> u32
@@ -52,10 +55,27 @@ struct Between {
     x1: At,
     s0: f32,
     s1: f32,
-    // Of the ray in voxel space.
+    // The ray among the texels.
+    line: Line,
+    lattice: Lattice,
+}
+
+// A ray in voxel space, or among the texels of a field.
+struct Line {
     origin: vec3f,
     dir: vec3f,
-    lattice: Lattice,
+}
+
+// A part of a ray that is marched in one field, in lattice points.
+struct Run {
+    // The first point; at the end of the lattice if nothing follows.
+    first: u32,
+    // Steps begin before this point,
+    end: u32,
+    // and end before or at this one.
+    limit: u32,
+    // Lattice points of a step.
+    pace: u32,
 }
 
 fn scene_lattice(ray: Ray, near: f32) -> Lattice {
@@ -84,6 +104,7 @@ struct Skipper {
     dir: vec3f,
     inv_dir: vec3f,
     lattice: Lattice,
+    run: Run,
     // Whether neighbouring ends of steps are in one brick or in bricks that touch.
     is_fine: bool,
 }
@@ -94,16 +115,18 @@ struct Brick {
     empty: u32,
 }
 
-fn skipper_new(origin: vec3f, dir: vec3f, lattice: Lattice) -> Skipper {
-    let step = max(max(abs(dir.x), abs(dir.y)), abs(dir.z)) * lattice.h;
-    return Skipper(origin, dir, 1.0 / dir, lattice, step * f32(STRIDE) < f32(BRICK));
+fn skipper_new(line: Line, lattice: Lattice, run: Run) -> Skipper {
+    let dir = line.dir;
+    let step = max(max(abs(dir.x), abs(dir.y)), abs(dir.z)) * lattice.h * f32(run.pace);
+    let origin = line.origin - vec3f(first_texel());
+    return Skipper(origin, dir, 1.0 / dir, lattice, run, step * f32(STRIDE) < f32(BRICK));
 }
 
-// The first lattice point from first on, by strides, whose step may be visible; or n.
+// The first lattice point from first on, by strides, whose step may be visible; the end of the run or more if none.
 fn skip(skipper: Skipper, first: u32, stride: u32) -> u32 {
     let s0 = skipper.lattice.s0;
     let h = skipper.lattice.h;
-    let n = skipper.lattice.n;
+    let end = skipper.run.end;
     var i = first;
     var at = brick_at(skipper, i);
     while (at.empty > 0u) {
@@ -112,13 +135,13 @@ fn skip(skipper: Skipper, first: u32, stride: u32) -> u32 {
         let leaves = at.brick + select(vec3f(1.0 - reach), vec3f(reach), skipper.dir > vec3f(0.0));
         let exits = (leaves * f32(BRICK) - skipper.origin) * skipper.inv_dir;
         let exit = min(min(exits.x, exits.y), exits.z);
-        let j = u32(clamp((exit - s0) / h, 0.0, f32(n)));
+        let j = u32(clamp((exit - s0) / h, 0.0, f32(end)));
         if (j > i) {
             i += (j - i) / stride * stride;
         }
         // A step between invisible bricks that touch is invisible as well.
-        let next = min(i + stride, n);
-        if (i >= n || !skipper.is_fine) {
+        let next = min(i + stride, skipper.run.limit);
+        if (i >= end || !skipper.is_fine) {
             break;
         }
         at = brick_at(skipper, next);
@@ -131,9 +154,9 @@ fn skip(skipper: Skipper, first: u32, stride: u32) -> u32 {
 
 fn brick_at(skipper: Skipper, i: u32) -> Brick {
     let p = skipper.origin + skipper.dir * (skipper.lattice.s0 + f32(i) * skipper.lattice.h);
-    let brick = floor(clamp(p * (1.0 / f32(BRICK)), vec3f(0.0), vec3f(scene.brick_dims) - 1.0));
+    let brick = floor(clamp(p * (1.0 / f32(BRICK)), vec3f(0.0), vec3f(brick_dims()) - 1.0));
     let at = vec3u(brick);
-    let index = (at.z * scene.brick_dims.y + at.y) * scene.brick_dims.x + at.x;
+    let index = (at.z * brick_dims().y + at.y) * brick_dims().x + at.x;
     var empty = occupancy_byte(0u, index);
     if (empty == 0u && is_beaten(index)) {
         empty = 1u;
@@ -141,10 +164,10 @@ fn brick_at(skipper: Skipper, i: u32) -> Brick {
     return Brick(brick, empty);
 }
 
-// A number of brick i: plane 0 are the distances, plane 1 the peaks (core::volume::Occupancy).
-fn occupancy_byte(plane: u32, i: u32) -> u32 {
-    let num_words = (scene.brick_dims.x * scene.brick_dims.y * scene.brick_dims.z + 3u) / 4u;
-    return (occupancy[plane * num_words + i / 4u] >> (8u * (i % 4u))) & 0xffu;
+// Byte i of some words, of which this one has it. Plane 0 of an occupancy are the distances, plane 1 the peaks
+// (core::volume::Occupancy).
+fn byte_of(word: u32, i: u32) -> u32 {
+    return (word >> (8u * (i % 4u))) & 0xffu;
 }
 
 fn march(ray: Ray, lattice: Lattice) {
@@ -152,41 +175,52 @@ fn march(ray: Ray, lattice: Lattice) {
     let h = lattice.h;
     let n = lattice.n;
     let origin = ray.origin * scene.voxel_from_world + scene.voxel_origin;
-    let dir = safe_dir(ray.dir) * scene.voxel_from_world;
-    let skipper = skipper_new(origin, dir, lattice);
+    let whole = Line(origin, safe_dir(ray.dir) * scene.voxel_from_world);
     var i = 0u;
     var stride = 1u;
     // The last sample, if it was lattice point i.
     var x_front = At();
     var has_x_front = false;
     while (i < n) {
-        let visible = skip(skipper, i, stride);
-        if (visible > i) {
-            i = visible;
+        let run = run_at(whole, lattice, i, stride);
+        if (run.first > i) {
+            i = run.first;
             has_x_front = false;
-            if (i >= n) {
+        }
+        let line = line_in_field(whole);
+        let skipper = skipper_new(line, lattice, run);
+        while (i < run.end) {
+            let visible = skip(skipper, i, stride * run.pace);
+            if (visible > i) {
+                i = visible;
+                has_x_front = false;
+                if (i >= run.end) {
+                    break;
+                }
+            }
+            let s_front = s0 + f32(i) * h;
+            var x0 = x_front;
+            if (!has_x_front) {
+                x0 = at_point(line.origin + line.dir * s_front);
+            }
+            let next = min(i + stride * run.pace, run.limit);
+            let s_back = s0 + f32(next) * h;
+            let x1 = at_point(line.origin + line.dir * s_back);
+            var pace = NO_STEP;
+            if (!is_gap(line.origin + line.dir * s_front) && !is_gap(line.origin + line.dir * s_back)) {
+                pace = take(Between(x0, x1, s_front, s_back, line, lattice));
+            }
+            if (pace == 0u) {
+                i = n;
                 break;
             }
+            stride = select(pace, stride, pace == NO_STEP);
+            x_front = x1;
+            has_x_front = true;
+            i = next;
         }
-        let s_front = s0 + f32(i) * h;
-        var x0 = x_front;
-        if (!has_x_front) {
-            x0 = at_point(origin + dir * s_front);
-        }
-        let next = min(i + stride, n);
-        let s_back = s0 + f32(next) * h;
-        let x1 = at_point(origin + dir * s_back);
-        var pace = NO_STEP;
-        if (!is_gap(origin + dir * s_front) && !is_gap(origin + dir * s_back)) {
-            pace = take(Between(x0, x1, s_front, s_back, origin, dir, lattice));
-        }
-        if (pace == 0u) {
-            break;
-        }
-        stride = select(pace, stride, pace == NO_STEP);
-        x_front = x1;
-        has_x_front = true;
-        i = next;
+        // Another level has other values at the same point.
+        has_x_front = has_x_front && run.limit == n;
     }
     end_march(lattice);
 }
@@ -228,7 +262,7 @@ fn domain_at(p: vec3f) -> f32 {
 
 // The voxel around a point of voxel space.
 fn nearest_voxel(p: vec3f) -> vec3i {
-    return vec3i(clamp(p, vec3f(0.0), vec3f(scene.dims - 1)));
+    return vec3i(clamp(p, vec3f(first_texel()), vec3f(last_texel())));
 }
 
 // Brightness of matter at a point of voxel space: that of the voxels, interpolated trilinearly.
@@ -244,17 +278,22 @@ fn shade(p: vec3f) -> f32 {
     let x01 = lerp(l(c, 0, 0, 1), l(c, 1, 0, 1), t.x);
     let x11 = lerp(l(c, 0, 1, 1), l(c, 1, 1, 1), t.x);
     let share = lerp(lerp(x00, x10, t.y), lerp(x01, x11, t.y), t.z) * (1.0 / LIT_MAX);
-    return scene.ambient + scene.diffuse * share;
+    return light_scale().x + light_scale().y * share;
 }
 
-// The stored number beside the corner c of a cell, clamped to the grid.
+// The stored number beside the corner c of a cell.
 fn v(c: vec3i, dx: i32, dy: i32, dz: i32) -> f32 {
-    return stored(clamp(c + vec3i(dx, dy, dz), vec3i(0), scene.dims - 1));
+    return stored(texel(c, dx, dy, dz));
 }
 
-// The share of light beside the corner c of a cell, in units of 1/LIT_MAX, clamped to the grid.
+// The share of light beside the corner c of a cell, in units of 1/LIT_MAX.
 fn l(c: vec3i, dx: i32, dy: i32, dz: i32) -> f32 {
-    return f32(textureLoad(lit, clamp(c + vec3i(dx, dy, dz), vec3i(0), scene.dims - 1), 0).x);
+    return f32(textureLoad(lit, texel(c, dx, dy, dz), 0).x);
+}
+
+// The texel beside the corner c of a cell, clamped to the field.
+fn texel(c: vec3i, dx: i32, dy: i32, dz: i32) -> vec3i {
+    return clamp(c + vec3i(dx, dy, dz), first_texel(), last_texel());
 }
 
 // Linear interpolation in a table over [0, 1].

@@ -8,7 +8,7 @@ fn stored_CHANNEL(p: vec3i) -> f32 {
 }
 
 fn v_CHANNEL(c: vec3i, dx: i32, dy: i32, dz: i32) -> f32 {
-    return stored_CHANNEL(clamp(c + vec3i(dx, dy, dz), vec3i(0), scene.dims - 1));
+    return stored_CHANNEL(texel(c, dx, dy, dz));
 }
 
 // Trilinear sample at a point of voxel space, as a position in the transfer function's domain.

@@ -18,7 +18,7 @@ fn take(between: Between) -> u32 {
         var b = vec2f(between.s1, between.x1);
         var s = chord(a, b, surface.x);
         for (var i = 0u; i < REFINEMENTS; i++) {
-            let x = domain_at(between.origin + between.dir * s);
+            let x = domain_at(between.line.origin + between.line.dir * s);
             if ((x < surface.x) == is_before) {
                 a = vec2f(s, x);
             } else {
@@ -29,7 +29,7 @@ fn take(between: Between) -> u32 {
         s = max(s, last);
         last = s;
         let alpha = opacity(surface.tau);
-        let c = sent(surface.color, alpha, between.origin + between.dir * s, between.dir);
+        let c = sent(surface.color, alpha, between.line.origin + between.line.dir * s, between.line.dir);
         pace = crossing(Step(c, surface.tau, s, s, alpha), to_greater, between.lattice);
         if (pace == 0u) {
             break;

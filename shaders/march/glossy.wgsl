@@ -3,8 +3,9 @@
 // What matter of an opacity sends to the eye from a point of voxel space, premultiplied. `dir` is the ray's direction there.
 fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f {
     let brightness = shade(p);
-    let v = scene.voxel_from_world;
-    let slope = slope_at(p) * (scene.steepness * (0.5 * scene.x_scale));
+    // Voxels of the finest level.
+    let v = scene.voxel_from_world / scene.steepness;
+    let slope = slope_at(p) * (steepness() * (0.5 * scene.x_scale));
     let per_voxel = clamp(slope, vec3f(-GRADIENT_MAX), vec3f(GRADIENT_MAX));
     let square = dot(per_voxel, per_voxel);
     let weight = square / max(square + scene.half_gradient * scene.half_gradient, LEAST_SQUARE);
@@ -17,7 +18,7 @@ fn sent(color: vec3f, alpha: f32, p: vec3f, dir: vec3f) -> vec3f {
         let open = max(scene.open_diffuse * lambert, LEAST_DIFFUSE);
         strength *= clamp((brightness - scene.open_ambient) / open, 0.0, 1.0);
     }
-    let from_eye = dir / v;
+    let from_eye = dir / (v * steepness());
     let mirrored = strength * (lobe(normal, scene.light - from_eye) + lobe(normal, scene.light + from_eye));
     return min(color * brightness + vec3f(mirrored), vec3f(COLOR_MAX)) * alpha;
 }

@@ -33,8 +33,8 @@ fn take(between: Between) -> u32 {
         return NO_STEP;
     }
     let alpha = opacity(tau);
-    let p = between.origin + between.dir * (0.5 * (between.s0 + between.s1));
-    let c = sent(min(mixed.color / tau, vec3f(1.0)), alpha, p, between.dir);
+    let p = between.line.origin + between.line.dir * (0.5 * (between.s0 + between.s1));
+    let c = sent(min(mixed.color / tau, vec3f(1.0)), alpha, p, between.line.dir);
     return sink_step(Step(c, tau, between.s0, between.s1, alpha));
 }
 

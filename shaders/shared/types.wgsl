@@ -48,7 +48,32 @@ struct Scene {
     open_diffuse: f32,
     // Factors from differences of voxels to those of the finest level.
     steepness: vec3f,
-    padding: u32,
+    padding_0: u32,
+    // Pages of the finest level along x, y, z; zeros for a volume that is in memory whole. With pages, `dims` and all
+    // that counts voxels are those of the finest level.
+    page_grid: vec3u,
+    padding_1: u32,
+}
+
+// A page and where its texels are (core::kernels::march::field::MarchField).
+struct PageField {
+    // From the voxel space of the finest level to the atlas: a factor, which is also the page's steepness, and an offset.
+    scale: vec3f,
+    // Brightness of no light, and what full light adds.
+    ambient: f32,
+    offset: vec3f,
+    diffuse: f32,
+    // The first and the last texel of the atlas.
+    first: vec3i,
+    // Where its occupancy begins.
+    first_word: u32,
+    last: vec3i,
+    is_visible: u32,
+    // Its faces in the voxel space of the finest level. Those at the volume's faces are farther away than any point.
+    low: vec3f,
+    padding_0: u32,
+    high: vec3f,
+    padding_1: u32,
 }
 
 // core::transfer::TransferTable, and more facts about values for a march (core::kernels::march::modes).

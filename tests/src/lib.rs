@@ -1,6 +1,7 @@
 //! What the tests that cross crates share.
 
 pub mod host;
+pub mod levels;
 pub mod twins;
 
 use std::path::PathBuf;

@@ -285,8 +285,8 @@ impl Layouts {
     }
 }
 
-/// Group 0 of the marching kernels: uniform, tables, occupancy, voxels, shares of light, voxels of more channels, and
-/// gaps.
+/// Group 0 of the marching kernels: uniform, tables, occupancy, voxels, shares of light, voxels of more channels, gaps,
+/// and the table and fields of pages.
 pub(crate) fn scene_layout(device: &wgpu::Device, purpose: MarchPurpose) -> wgpu::BindGroupLayout {
     let texels = |kind: TexelKind| BindingType::Texture {
         sample_type: match kind {
@@ -300,6 +300,7 @@ pub(crate) fn scene_layout(device: &wgpu::Device, purpose: MarchPurpose) -> wgpu
     types.extend(purpose.kinds().into_iter().map(texels));
     types.insert(4, texels(TexelKind::Uint));
     types.extend(purpose.has_gaps.then(|| texels(TexelKind::Uint)));
+    types.extend([READ; 2].iter().filter(|_| purpose.has_pages));
     layout(device, "scene", ShaderStages::COMPUTE, &types)
 }
 
@@ -347,6 +348,11 @@ fn adapters() -> Result<Vec<wgpu::Adapter>, GpuError> {
     let backends = wgpu::Backends::PRIMARY;
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends,
+        // Beyond that, textures are refused in time. Some drivers would lose the device.
+        memory_budget_thresholds: wgpu::MemoryBudgetThresholds {
+            for_resource_creation: Some(MOST_MEMORY_PERCENT),
+            for_device_loss: None,
+        },
         ..wgpu::InstanceDescriptor::new_without_display_handle()
     });
     let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
@@ -491,6 +497,8 @@ pub(crate) const WRITE: BindingType = BindingType::Buffer {
     has_dynamic_offset: false,
     min_binding_size: None,
 };
+/// Most of a device's memory that may be in use, by everybody.
+const MOST_MEMORY_PERCENT: u8 = 90;
 /// Steps of all rays in a dispatch.
 const STEPS_OF_DISCRETE: u32 = 1 << 30;
 const STEPS_OF_OTHERS: u32 = 1 << 27;

@@ -14,9 +14,12 @@ pub enum GpuError {
         /// What the driver said.
         reason: String,
     },
-    /// The volume is read by pages.
-    #[error("a volume that is read by pages is rendered on the CPU")]
-    Pages,
+    /// The device has too little memory for the pages of a view.
+    #[error("the device has memory for {most} pages of the volume at once")]
+    Pages {
+        /// Pages that it has memory for.
+        most: usize,
+    },
     /// Something exceeds a limit of the device.
     #[error("{what} needs {needed}, the device takes at most {limit}")]
     TooLarge {
@@ -57,7 +60,7 @@ pub enum GpuError {
 impl GpuError {
     /// Whether the CPU may take over: the device failed by itself or is too small.
     pub fn asks_for_cpu(&self) -> bool {
-        self.is_lost() || matches!(self, Self::TooLarge { .. } | Self::Pages)
+        self.is_lost() || matches!(self, Self::TooLarge { .. })
     }
 
     /// Whether the device's data may be lost, so that another device must be tried. After other errors the device
@@ -68,7 +71,7 @@ impl GpuError {
             Self::NoAdapter(_)
             | Self::Open { .. }
             | Self::TooLarge { .. }
-            | Self::Pages
+            | Self::Pages { .. }
             | Self::Camera
             | Self::Frame(_) => false,
         }

@@ -2,6 +2,7 @@
 //! by a scalar that fills its fourth word, so there is no hidden padding.
 
 use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
 use isinglass_core::camera::Camera;
 use isinglass_core::clip::Region;
 use isinglass_core::kernels::combine::MAX_FRAMES;
@@ -76,7 +77,27 @@ pub(crate) struct Scene {
     pub(crate) open_ambient: f32,
     pub(crate) open_diffuse: f32,
     pub(crate) steepness: [f32; 3],
-    pub(crate) padding: u32,
+    pub(crate) padding_0: u32,
+    pub(crate) page_grid: [u32; 3],
+    pub(crate) padding_1: u32,
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct PageField {
+    pub(crate) scale: [f32; 3],
+    pub(crate) ambient: f32,
+    pub(crate) offset: [f32; 3],
+    pub(crate) diffuse: f32,
+    pub(crate) first: [i32; 3],
+    pub(crate) first_word: u32,
+    pub(crate) last: [i32; 3],
+    pub(crate) is_visible: u32,
+    pub(crate) low: [f32; 3],
+    pub(crate) padding_0: u32,
+    pub(crate) high: [f32; 3],
+    pub(crate) padding_1: u32,
 }
 
 impl Scene {
@@ -87,16 +108,20 @@ impl Scene {
         let lit = scene.illumination.lit();
         let highlight = scene.highlight();
         let (open_ambient, open_diffuse) = highlight.map_or((0.0, 0.0), |h| h.open);
+        let (spacing, voxel_origin) = scene.voxel_space();
+        let set = scene.pages.as_ref().map(|pages| &pages.set);
+        let dims = set.map_or_else(|| volume.dims(), |set| set.pyramid().dims());
+        let steepness = if set.is_some() { Vec3::ONE } else { volume.steepness() };
         Self {
             bounds_min: bounds.min.into(),
             x_scale: scene.table.x_scale,
             bounds_max: bounds.max.into(),
             x_offset: scene.table.x_offset,
-            voxel_from_world: volume.spacing().recip().into(),
-            step_length: scene.settings.step_in_voxels * volume.spacing().min_element(),
-            voxel_origin: volume.voxel_origin().into(),
+            voxel_from_world: spacing.recip().into(),
+            step_length: scene.settings.step_in_voxels * spacing.min_element(),
+            voxel_origin: voxel_origin.into(),
             shaded: lit.is_some().into(),
-            dims: volume.dims().map(|d| d as i32),
+            dims: dims.map(|d| d as i32),
             ambient: lit.map_or(1.0, |lit| lit.ambient),
             brick_dims: scene.occupancy.dims,
             diffuse: lit.map_or(0.0, |lit| lit.diffuse),
@@ -108,8 +133,10 @@ impl Scene {
             half_gradient: highlight.map_or(0.0, |h| h.half_gradient),
             open_ambient,
             open_diffuse,
-            steepness: volume.steepness().into(),
-            padding: 0,
+            steepness: steepness.into(),
+            padding_0: 0,
+            page_grid: set.map_or([0; 3], |set| set.grid()),
+            padding_1: 0,
         }
     }
 }

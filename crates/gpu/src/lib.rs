@@ -3,6 +3,7 @@
 //!
 //! Nothing here panics without a GPU, memory or a responding driver: all of that is a [`GpuError`].
 
+mod atlas;
 mod casts;
 mod combine;
 mod device;
@@ -20,9 +21,11 @@ mod scene;
 #[cfg(test)]
 mod shader_tests;
 mod shaders;
+mod textures;
 pub mod upscale;
 mod view_pass;
 mod warm_up;
+mod whole_texels;
 
 pub use device::{Gpu, GpuInfo, NoAnswer, poll, with_large_buffers};
 pub use error::GpuError;

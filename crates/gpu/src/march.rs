@@ -31,9 +31,6 @@ pub struct GpuRenderer {
 impl GpuRenderer {
     /// Uploads a scene.
     pub fn new(gpu: &Gpu, scene: Scene) -> Result<Self, GpuError> {
-        if scene.whole().paging().is_some() {
-            return Err(GpuError::Pages);
-        }
         let on_gpu = SceneOnGpu::new(gpu, &scene)?;
         let picture = gpu.attempt("making buffers", || Ok(PictureTarget::new(gpu)))?;
         Ok(Self { gpu: gpu.clone(), scene, on_gpu, picture, frame: None, budget: Budget::default() })
@@ -44,12 +41,24 @@ impl GpuRenderer {
         &self.scene
     }
 
-    /// Replaces the scene. Voxels are uploaded only if `scene.volume` has changed.
+    /// Replaces the scene. Voxels and pages are uploaded only if they are new. A scene with more pages than the device
+    /// has memory for is shown by its coarsest level, and [`GpuError::Pages`] tells how many there may be.
     pub fn set_scene(&mut self, scene: Scene) -> Result<(), GpuError> {
-        self.on_gpu.set(&self.gpu, &scene)?;
-        self.scene = scene;
         self.budget.forget();
-        Ok(())
+        let set = self.on_gpu.set(&self.gpu, &scene);
+        if matches!(set, Err(GpuError::Pages { .. })) {
+            self.scene = scene.without_pages();
+            self.on_gpu.set(&self.gpu, &self.scene)?;
+        } else if set.is_ok() {
+            self.scene = scene;
+        }
+        set
+    }
+
+    /// Pretends that the device has memory for so many pages.
+    #[cfg(test)]
+    pub(crate) fn limit_pages(&mut self, most: usize) {
+        self.on_gpu.atlas.get_or_insert_with(|| crate::atlas::Atlas::new(&self.gpu)).most = most;
     }
 
     /// See [`isinglass_core::kernels::march::render`].

@@ -8,7 +8,7 @@ use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
 use crate::gpu_types::{
-    BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, Raycaster, Scene, WORKGROUP_SIDE,
+    BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, PageField, Raycaster, Scene, WORKGROUP_SIDE,
 };
 use crate::shaders::{Extent, Frames, Kernel, MarchPurpose, MixedPurpose, Purpose, TexelKind};
 
@@ -66,7 +66,23 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             open_ambient,
             open_diffuse,
             steepness,
-            padding
+            padding_0,
+            page_grid,
+            padding_1
+        }),
+        layout!(PageField {
+            scale,
+            ambient,
+            offset,
+            diffuse,
+            first,
+            first_word,
+            last,
+            is_visible,
+            low,
+            padding_0,
+            high,
+            padding_1
         }),
         layout!(Band { first_row, num_rows, first_pixel, num_pixels }),
         layout!(Raycaster {
@@ -118,6 +134,7 @@ const PLAIN: MarchPurpose = MarchPurpose {
     mode: Mode::Composite,
     is_glossy: false,
     has_gaps: false,
+    has_pages: false,
     mixed: None,
 };
 
@@ -128,8 +145,9 @@ fn all_kernels() -> Vec<Kernel> {
     }
     for kind in [TexelKind::Uint, TexelKind::Float] {
         for mode in Mode::ALL {
-            for is_glossy in [false, true] {
-                let purpose = MarchPurpose { kind, mode, is_glossy, has_gaps: is_glossy, mixed: None };
+            for (is_glossy, has_pages) in [(false, false), (true, false), (false, true), (true, true)] {
+                let purpose =
+                    MarchPurpose { kind, mode, is_glossy, has_gaps: is_glossy, has_pages, mixed: None };
                 let extents = [Extent::Opaque, Extent::Through];
                 kernels.extend(extents.map(|extent| Kernel::Render(purpose, extent)));
                 kernels.push(Kernel::Generate(purpose));
@@ -139,7 +157,7 @@ fn all_kernels() -> Vec<Kernel> {
             [(1, 0, 1, false), (2, 0, 0, true), (3, 2, 4, false), (8, 0b1010_1010, 0b1000_0001, true)]
         {
             let mixed = Some(MixedPurpose { num_channels, floats, labels, is_over });
-            let purpose = MarchPurpose { kind, mixed, has_gaps: is_over, ..PLAIN };
+            let purpose = MarchPurpose { kind, mixed, has_gaps: is_over, has_pages: floats != 0, ..PLAIN };
             kernels.extend([Kernel::Render(purpose, Extent::Opaque), Kernel::Generate(purpose)]);
         }
     }
@@ -202,13 +220,15 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 23] = [
+const TWINS: [&str; 25] = [
+    include_str!("atlas.rs"),
     include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
     include_str!("../../core/src/layer.rs"),
     include_str!("../../core/src/transfer.rs"),
     include_str!("../../core/src/volume/bricks.rs"),
     include_str!("../../core/src/volume/lit.rs"),
+    include_str!("../../core/src/volume/pyramid.rs"),
     include_str!("../../core/src/kernels/march.rs"),
     include_str!("../../core/src/kernels/march/glossy.rs"),
     include_str!("../../core/src/kernels/march/mixed.rs"),

@@ -78,6 +78,8 @@ pub(crate) struct MarchPurpose {
     pub(crate) is_glossy: bool,
     /// Whether there are voxels with nothing in them.
     pub(crate) has_gaps: bool,
+    /// Whether the texels are those of pages.
+    pub(crate) has_pages: bool,
     /// The channels, if several are marched together or one has labels.
     pub(crate) mixed: Option<MixedPurpose>,
 }
@@ -176,7 +178,14 @@ impl MarchPurpose {
             true => GAPS.replace("BINDING", &(FIRST_CHANNEL_BINDING + num_others).to_string()),
             false => "fn is_gap(p: vec3f) -> bool {\n    return false;\n}\n".into(),
         };
-        let start = [TYPES, SPACE, LAYER, self.kind.part(), MARCH, &gaps, sent];
+        let field = match self.has_pages {
+            true => {
+                let table = FIRST_CHANNEL_BINDING + num_others + u8::from(self.has_gaps);
+                PAGES.replace("TABLE", &table.to_string()).replace("FIELDS", &(table + 1).to_string())
+            }
+            false => WHOLE.into(),
+        };
+        let start = [TYPES, SPACE, LAYER, self.kind.part(), MARCH, &field, &gaps, sent];
         if let Some(mixed) = self.mixed {
             return [&start.concat(), &mixed.text(), MIXED].concat();
         }
@@ -274,6 +283,8 @@ const PICTURE: &str = include_str!("../../../shaders/shared/picture.wgsl");
 const TEXELS_UINT: &str = include_str!("../../../shaders/shared/texels_uint.wgsl");
 const TEXELS_FLOAT: &str = include_str!("../../../shaders/shared/texels_float.wgsl");
 const MARCH: &str = include_str!("../../../shaders/march.wgsl");
+const WHOLE: &str = include_str!("../../../shaders/march/whole.wgsl");
+const PAGES: &str = include_str!("../../../shaders/march/pages.wgsl");
 const ONE_CHANNEL: &str = include_str!("../../../shaders/march/one.wgsl");
 const MIXED: &str = include_str!("../../../shaders/march/mixed.wgsl");
 const GAPS: &str = include_str!("../../../shaders/march/gaps.wgsl");

@@ -6,6 +6,7 @@ use isinglass_core::camera::Camera;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::PageView;
+use isinglass_gpu::GpuError;
 use isinglass_render::Renderer;
 use isinglass_server::Pager;
 
@@ -23,12 +24,21 @@ impl Pages {
         let Some(pager) = &self.0 else { return Ok(()) };
         let scene = renderer.scene();
         let view = PageView { camera: *camera, region: scene.region(), rests: true };
-        let pages = pager.settled(ViewerId(0), &view, scene, &|| true);
+        let scene = scene.without_pages();
+        let mut pages = pager.settled(ViewerId(0), &view, &scene, &|| true);
+        let shown = match renderer.set_scene(scene.with_pages(pages.set.clone(), None)) {
+            Err(GpuError::Pages { most }) => {
+                pager.limit(most);
+                pages = pager.settled(ViewerId(0), &view, &scene, &|| true);
+                renderer.set_scene(scene.with_pages(pages.set, None))
+            }
+            shown => shown,
+        };
+        shown?;
         let progress = pages.progress;
         if progress.num_wanted > 0 && progress.num_resident == 0 {
             bail!("none of the {} parts that the view needs can be read", progress.num_wanted);
         }
-        renderer.set_scene(scene.with_pages(pages.set, None))?;
         if progress.coarse_share > 0.0 {
             let percent = (progress.coarse_share * 100.0).ceil();
             note(&format!(

@@ -122,6 +122,12 @@ impl Pager {
         self.shared.max_bytes
     }
 
+    /// The renderer has memory for at most so many pages at once. Later views get no more.
+    pub fn limit(&self, most: usize) {
+        tracing::warn!("the renderer has memory for {most} pages of the volume at once");
+        self.shared.state().residency.limit(most);
+    }
+
     /// The pages for a viewer's next frame of `scene`. What is missing is read from now on.
     pub fn pages(&self, viewer: ViewerId, view: &PageView, scene: &Scene) -> FramePages {
         let key = PlanKey::from(viewer.0);

@@ -12,6 +12,7 @@ use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::frames::within;
 use isinglass_core::volume::{Detail, Occlusion, PageView};
+use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, Work};
 use isinglass_render::{Piece, Renderer};
 use tokio::sync::mpsc;
@@ -280,7 +281,12 @@ impl RenderThread {
             }
             None => scene.without_pages(),
         };
-        Ok(self.renderer.set_scene(scene)?)
+        let shown = self.renderer.set_scene(scene);
+        if let (Err(GpuError::Pages { most }), Some(pager)) = (&shown, &self.pager) {
+            // The next frame gets fewer.
+            pager.limit(*most);
+        }
+        Ok(shown?)
     }
 
     fn is_final(&self) -> bool {

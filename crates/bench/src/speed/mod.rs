@@ -99,6 +99,10 @@ pub struct SpeedRow {
     pub(crate) view_over_render: f64,
     /// Generation relative to the full rendering that does not stop.
     pub(crate) generate_over_through: f64,
+    /// Full rendering and generation by pages of the finest level, relative to the volume in memory whole; `None` for a
+    /// large volume.
+    pub(crate) render_pages_over_whole: Option<f64>,
+    pub(crate) generate_pages_over_whole: Option<f64>,
     /// Fraction of the time without the grid that it saves.
     pub(crate) grid_gain: f64,
     /// Fraction of the grid's cells that are empty.
@@ -146,10 +150,16 @@ pub fn run(options: &SpeedOptions) -> Result<SpeedReport, BenchError> {
     Ok(SpeedReport { conditions, rows, preparations })
 }
 
+/// Rendering and generation by pages.
+fn by_pages(r: &SpeedRow) -> String {
+    let both = r.render_pages_over_whole.zip(r.generate_pages_over_whole);
+    both.map_or_else(|| "-".into(), |(render, generate)| format!("{render:.2}, {generate:.2}"))
+}
+
 /// A table for people. Times on the device where it has a clock.
 pub fn table(report: &SpeedReport) -> String {
     let mut text = format!(
-        "{:<18} {:>2} {:>9} {:>5} {:>8} {:>8} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>6} {:>6} {:>7} {:>6} {:>9}  {}\n",
+        "{:<18} {:>2} {:>9} {:>5} {:>8} {:>8} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>6} {:>6} {:>11} {:>7} {:>6} {:>9}  {}\n",
         "scene",
         "k",
         "frame",
@@ -164,6 +174,7 @@ pub fn table(report: &SpeedReport) -> String {
         "no grid",
         "of rdr",
         "of thr",
+        "by pages",
         "fps",
         "ssim",
         "bytes",
@@ -171,7 +182,7 @@ pub fn table(report: &SpeedReport) -> String {
     );
     for r in &report.rows {
         text += &format!(
-            "{:<18} {:>2} {:>9} {:>4.0}° {:>8.2} {:>8.2} {:>8.2} {:>7.2} {:>7.2} {:>7.2} {:>7.2} {:>8.2} {:>6.3} {:>6.2} {:>7.1} {:>6.4} {:>9}  {}\n",
+            "{:<18} {:>2} {:>9} {:>4.0}° {:>8.2} {:>8.2} {:>8.2} {:>7.2} {:>7.2} {:>7.2} {:>7.2} {:>8.2} {:>6.3} {:>6.2} {:>11} {:>7.1} {:>6.4} {:>9}  {}\n",
             r.scene,
             r.k,
             format!("{}x{}", r.frame_size[0], r.frame_size[1]),
@@ -186,6 +197,7 @@ pub fn table(report: &SpeedReport) -> String {
             r.novel_view_no_grid_gpu_ms.unwrap_or(r.novel_view_no_grid_ms),
             r.view_over_render,
             r.generate_over_through,
+            by_pages(r),
             r.fps,
             r.ssim,
             r.bytes,

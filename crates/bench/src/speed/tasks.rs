@@ -9,11 +9,12 @@ use isinglass_core::cancel::ALWAYS;
 use isinglass_core::codec;
 use isinglass_core::image_error::{ImageError, compare};
 use isinglass_core::kernels::empty_space::EmptySpace;
+use isinglass_core::kernels::march::Scene;
 use isinglass_core::kernels::raycast::CastOptions;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
-use isinglass_core::volume::{Bricks, Histogram};
+use isinglass_core::volume::{Bricks, Histogram, PageSet, Pyramid};
 use isinglass_render::{Backend, Renderer, Reprojector};
 
 use super::{Preparation, SpeedOptions, SpeedRow};
@@ -29,6 +30,8 @@ pub(super) struct Tasks<'a> {
     dims: [u32; 3],
     orbit: Orbit,
     renderer: Renderer,
+    /// The same scene by pages of the finest level, unless that takes too much memory.
+    paged: Option<Renderer>,
     turned: Vec<Camera>,
     frames: Vec<MadeFrame>,
     tasks: Vec<Task>,
@@ -48,9 +51,13 @@ struct MadeFrame {
 enum Task {
     /// Full rendering from a turned camera.
     Render(usize),
+    /// The same by pages.
+    RenderPages(usize),
     /// Full rendering from a frame's camera in the frame's size that does not stop at opaque matter.
     Through([u32; 2]),
     Generate(usize),
+    /// The same by pages.
+    GeneratePages(usize),
     Encode(usize),
     Decode(usize),
     Prepare(usize),
@@ -98,6 +105,8 @@ impl<'a> Tasks<'a> {
         let look_seconds = (scene_seconds - 2.0 * histogram_seconds - bricks_seconds).max(0.0);
         let orbit = subject.orbit(&opened.scene.volume);
         let (bounds, dims) = (opened.scene.volume.bounds(), opened.scene.volume.dims());
+        let pages = by_pages(&opened.scene);
+        let paged = pages.map(|scene| backend.renderer(scene)).transpose()?;
         let (mut renderer, upload_seconds) = in_seconds(|| Ok(backend.renderer(opened.scene)?))?;
         let preparation = Preparation {
             scene: source.name.clone(),
@@ -129,6 +138,7 @@ impl<'a> Tasks<'a> {
             dims,
             orbit,
             renderer,
+            paged,
             turned,
             frames,
             tasks: Vec::new(),
@@ -141,6 +151,10 @@ impl<'a> Tasks<'a> {
     fn all(&self) -> Vec<Task> {
         let mut tasks: Vec<Task> = (0..self.turned.len()).map(Task::Render).collect();
         tasks.extend(self.options.frame_sizes.iter().map(|&size| Task::Through(size)));
+        if self.paged.is_some() {
+            tasks.extend((0..self.turned.len()).map(Task::RenderPages));
+            tasks.extend((0..self.frames.len()).map(Task::GeneratePages));
+        }
         for i in 0..self.frames.len() {
             tasks.extend([Task::Generate(i), Task::Encode(i), Task::Decode(i), Task::Prepare(i)]);
             for angle in 0..self.turned.len() {
@@ -157,7 +171,10 @@ impl<'a> Tasks<'a> {
             // Another K needs new buffers on the GPU, which a server does not make per frame. Competing tasks get as
             // many tries.
             if counts
-                && matches!((task, self.backend), (Task::Generate(_) | Task::Through(_), Backend::Gpu(_)))
+                && matches!(
+                    (task, self.backend),
+                    (Task::Generate(_) | Task::GeneratePages(_) | Task::Through(_), Backend::Gpu(_))
+                )
                 && time.wall < SHORT_MS
             {
                 time = time.least(self.run(task)?);
@@ -171,9 +188,12 @@ impl<'a> Tasks<'a> {
 
     fn run(&mut self, task: Task) -> Result<Time, BenchError> {
         let backend = self.backend;
-        let Self { renderer, orbit, turned, frames, options, bounds, .. } = self;
+        let Self { renderer, paged, orbit, turned, frames, options, bounds, .. } = self;
+        let paged = paged.as_mut().unwrap_or(renderer);
         match task {
             Task::Render(angle) => timed(backend, || Ok(renderer.render(&turned[angle])?)),
+            Task::RenderPages(angle) => timed(backend, || Ok(paged.render(&turned[angle])?)),
+            Task::GeneratePages(i) => timed(backend, || Ok(paged.generate_while(frames[i].header, ALWAYS)?)),
             Task::Through([width, height]) => {
                 let intrinsics = Intrinsics { width, height, ..options.subject.intrinsics };
                 let camera = orbit.camera(intrinsics, bounds);
@@ -218,6 +238,7 @@ impl<'a> Tasks<'a> {
             |task: Task| self.least.get(&task).copied().unwrap_or(Time { wall: f64::INFINITY, gpu: None });
         let (render, through) = (time(Task::Render(angle)), time(Task::Through(frame_size)));
         let generate = time(Task::Generate(i));
+        let by_pages = |paged, whole| self.paged.as_ref().map(|_| ratio(time(paged), whole));
         let view = time(Task::View(i, angle, true));
         let no_grid = time(Task::View(i, angle, false));
         Ok(SpeedRow {
@@ -244,6 +265,8 @@ impl<'a> Tasks<'a> {
             render_fps: 1e3 / render.best(),
             view_over_render: ratio(view, render),
             generate_over_through: ratio(generate, through),
+            render_pages_over_whole: by_pages(Task::RenderPages(angle), render),
+            generate_pages_over_whole: by_pages(Task::GeneratePages(i), generate),
             grid_gain: 1.0 - ratio(view, no_grid),
             empty_share: EmptySpace::new(&made.frame).empty_share(),
             ssim: error.ssim,
@@ -255,6 +278,17 @@ impl<'a> Tasks<'a> {
             segments_total: made.frame.num_segments(),
         })
     }
+}
+
+/// The scene by all pages of its finest level.
+fn by_pages(scene: &Scene) -> Option<Scene> {
+    let volume = scene.whole();
+    if volume.paging().is_some() || volume.bytes_in_memory() > MOST_BYTES_BY_PAGES {
+        return None;
+    }
+    let pyramid = Arc::new(Pyramid::of(volume));
+    let pages = pyramid.base_pages(volume).ok()?;
+    Some(scene.with_pages(Arc::new(PageSet::new(pyramid, pages, |_| true)), None))
 }
 
 /// The ratio of two times: by the device's clock where both have it.
@@ -287,5 +321,7 @@ fn timed<T>(backend: &Backend, body: impl FnOnce() -> Result<T, BenchError>) -> 
     Ok(Time { wall, gpu: gpu.map(|t| t.as_secs_f64() * 1e3) })
 }
 
+/// Memory of a volume that is also shown by pages, which are a copy of it, bytes.
+const MOST_BYTES_BY_PAGES: u64 = 2 << 30;
 /// Shorter runs are repeated, where that is worthwhile.
 const SHORT_MS: f64 = 2000.0;

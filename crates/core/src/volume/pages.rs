@@ -41,6 +41,11 @@ impl Page {
         Ok(Self { id, volume, bricks, is_nothing })
     }
 
+    /// A channel, from 0; the first if there is no such.
+    pub fn channel(&self, channel: usize) -> &Volume {
+        channel.checked_sub(1).and_then(|i| self.volume.others().get(i)).map_or(&self.volume, |other| other)
+    }
+
     /// Memory of the voxels of all channels and of their brightness, bytes.
     pub fn num_bytes(&self) -> u64 {
         self.volume.bytes_in_memory()

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::grid::{VolumeInfo, Voxels};
+use super::grid::{Volume, VolumeInfo, Voxels};
 use super::histogram::Histogram;
 
 /// What a level of a pyramid takes from the finest one, so that every level has one look: box, unit length, domain of
@@ -132,6 +132,18 @@ pub trait PageRanges: Send + Sync {
 }
 
 impl Pyramid {
+    /// A volume in memory as the only level.
+    pub fn of(volume: &Volume) -> Self {
+        let level = PyramidLevel { dims: volume.dims(), factor: [1; 3], first: [0.0; 3] };
+        Self {
+            levels: vec![level],
+            spacing: volume.spacing(),
+            kind: volume.voxels().kind(),
+            value_maps: volume.channels().map(Volume::value_map).collect(),
+            info: volume.info.clone(),
+        }
+    }
+
     /// Voxels along x, y, z of the finest level.
     pub fn dims(&self) -> [u32; 3] {
         self.levels.first().map_or([1; 3], |level| level.dims)
@@ -153,6 +165,19 @@ impl Pyramid {
         self.level(page).first_point(page.at)
     }
 
+    /// The least and the greatest faces of a page in the voxel space of the finest level. Pages at the volume's faces go
+    /// on beyond it, to infinity.
+    pub fn faces(&self, page: PageId) -> (Vec3, Vec3) {
+        let (dims, factor) = (self.dims(), self.level(page).factor);
+        let face = |at: u32, i: usize| (at * factor[i] * PAGE_CELLS) as f32 + 0.5;
+        let low = |i: usize| if page.at[i] == 0 { f32::NEG_INFINITY } else { face(page.at[i], i) };
+        let high = |i: usize| match face(page.at[i] + 1, i) {
+            high if high > dims[i] as f32 - 0.5 => f32::INFINITY,
+            high => high,
+        };
+        (Vec3::from_array([0, 1, 2].map(low)), Vec3::from_array([0, 1, 2].map(high)))
+    }
+
     /// Bytes of the voxels of a page.
     pub fn page_bytes(&self) -> usize {
         PAGE_VOXELS * self.kind.bytes()
@@ -166,6 +191,12 @@ impl PyramidLevel {
             let index = f64::from(at[i]) * f64::from(PAGE_CELLS) - self.shift(i);
             ((index.floor() - 2.0).max(0.0) as u32).min(self.dims[i].saturating_sub(2))
         })
+    }
+
+    /// From the voxel space of the finest level to that of this one: a factor and an offset.
+    pub fn place(&self) -> (Vec3, Vec3) {
+        let scale = Vec3::from_array(self.factor.map(|f| 1.0 / f as f32));
+        (scale, 0.5 - (0.5 + Vec3::from_array(self.first)) * scale)
     }
 
     /// The finest level's index of the first voxel, in voxels of this level.

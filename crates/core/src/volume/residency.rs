@@ -313,6 +313,12 @@ impl Residency {
         &self.pyramid
     }
 
+    /// There is memory for at most so many pages in all, those of the coarsest level among them.
+    pub fn limit(&mut self, most: usize) {
+        self.max_pages = self.max_pages.min(most.saturating_sub(self.base.len()));
+        self.evict();
+    }
+
     /// Pages that one more viewer's plan may take.
     pub fn share(&self, key: PlanKey) -> usize {
         let others = self.plans.iter().filter(|(known, _)| *known != key).count();

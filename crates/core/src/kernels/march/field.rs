@@ -25,6 +25,8 @@ pub(super) struct MarchField<'a, T> {
     pub(super) steepness: Vec3,
     /// From the voxel space of the scene to that of the texels: a factor and an offset.
     place: (Vec3, Vec3),
+    /// The faces of a page in the scene's voxel space.
+    faces: (Vec3, Vec3),
     /// The level of a page.
     level: u8,
     /// Whether anything of it may be seen.
@@ -65,12 +67,17 @@ impl<'a, T: TexelsOf<'a>> MarchField<'a, T> {
         let first = set.pyramid().first_point(page.id);
         let shape = GridShape::part([PAGE_POINTS; 3], first, level.dims);
         let start = Vec3::from_array(first.map(|i| i as f32));
-        let field =
-            Self::new(scene, T::of(volume.voxels()), shape, (volume, look.lit()), &look.occupancy, start);
-        let scale = Vec3::from_array(level.factor.map(|f| 1.0 / f as f32));
-        let offset = 0.5 - (0.5 + Vec3::from_array(level.first)) * scale;
+        let field = Self::new(
+            scene,
+            T::of(volume.voxels()),
+            shape,
+            (volume, look.lit().map(|lit| &**lit)),
+            &look.occupancy,
+            start,
+        );
         Self {
-            place: (scale, offset),
+            place: level.place(),
+            faces: set.pyramid().faces(page.id),
             level: page.id.level,
             is_visible: look.is_visible,
             channels: scene
@@ -100,6 +107,7 @@ impl<'a, T: TexelsOf<'a>> MarchField<'a, T> {
             max_brick: Vec3::from_array(occupancy.dims.map(|n| n as f32 - 1.0)),
             steepness: volume.steepness(),
             place: (Vec3::ONE, Vec3::ZERO),
+            faces: (Vec3::NEG_INFINITY, Vec3::INFINITY),
             level: 0,
             is_visible: true,
         }
@@ -159,21 +167,11 @@ impl<'a, T: Texels> Fields<'a, T> {
             // A step belongs to the page of its middle, so both ends are at most half a step outside.
             let half = 0.5 * stride as f32;
             let slot = self.slot(set, ray, lattice, *i as f32 + half);
-            let page = &set.pages()[slot];
-            let factor = set.pyramid().level(page.id).factor;
-            let cells = Vec3::from_array(factor.map(|f| (f * PAGE_CELLS) as f32));
-            let corner = Vec3::from_array(page.id.at.map(|at| at as f32)) * cells + 0.5;
-            let is_ascending = ray.dir.cmpgt(Vec3::ZERO);
-            // Pages at the volume's faces go on beyond it.
-            let is_last = (corner + cells).cmpgt(self.last + 0.5);
-            let is_first = corner.cmple(Vec3::splat(0.5));
-            let is_open = (is_ascending & is_last) | (!is_ascending & is_first);
-            let leaves = Vec3::select(is_ascending, corner + cells, corner);
-            let exit = (leaves - ray.origin) * ray.dir.recip();
-            let exit = Vec3::select(is_open, Vec3::splat(f32::INFINITY), exit).min_element();
+            let field = &self.pages[slot];
+            let leaves = Vec3::select(ray.dir.cmpgt(Vec3::ZERO), field.faces.1, field.faces.0);
+            let exit = ((leaves - ray.origin) * ray.dir.recip()).min_element();
             let end = ((exit - lattice.s0) / lattice.h - half).ceil();
             let end = if end < n as f32 { (end as u32).max(*i + 1) } else { n };
-            let field = &self.pages[slot];
             let in_level = ray.dir * field.place.0;
             let pace = ((ray.dir.length() / in_level.length()) * (1.0 + 1e-4)) as u32;
             let pace = pace.max(1);

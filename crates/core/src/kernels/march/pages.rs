@@ -36,8 +36,8 @@ pub struct PageLook {
 
 impl PageLook {
     /// The brightness of the voxels, if they are lit.
-    pub fn lit(&self) -> Option<&Lit> {
-        self.lit.as_deref()
+    pub fn lit(&self) -> Option<&Arc<Lit>> {
+        self.lit.as_ref()
     }
 }
 
@@ -101,18 +101,17 @@ impl Scene {
 
     /// The voxels in a page of the channel that is marched first.
     pub(super) fn first_of_page<'a>(&self, page: &'a Page) -> &'a Volume {
-        self.channel_of_page(page, self.first_channel)
+        page.channel(self.first_channel)
     }
 
     /// The voxels in a page of all channels that are mixed, in their order.
     pub(super) fn channels_of_page<'a>(&'a self, page: &'a Page) -> impl Iterator<Item = &'a Volume> {
-        let others = self.others.iter().map(|other| other.channel);
-        let channels = std::iter::once(self.first_channel).chain(others).filter(|_| self.is_mixed());
-        channels.map(|channel| self.channel_of_page(page, channel))
+        self.marched_channels().filter(|_| self.is_mixed()).map(|channel| page.channel(channel))
     }
 
-    fn channel_of_page<'a>(&self, page: &'a Page, channel: usize) -> &'a Volume {
-        channel.checked_sub(1).and_then(|i| page.volume.others().get(i)).map_or(&page.volume, |other| other)
+    /// The channels that are marched, the first one first.
+    pub fn marched_channels(&self) -> impl Iterator<Item = usize> {
+        std::iter::once(self.first_channel).chain(self.others.iter().map(|other| other.channel))
     }
 
     fn tables(&self) -> impl Iterator<Item = (usize, &TransferTable)> {
@@ -146,7 +145,7 @@ impl Scene {
         if !self.is_mixed() {
             return self.illumination.of_page(self.first_of_page(page), &self.table);
         }
-        let all: Vec<_> = self.tables().map(|(i, table)| (self.channel_of_page(page, i), table)).collect();
+        let all: Vec<_> = self.tables().map(|(i, table)| (page.channel(i), table)).collect();
         let opacities = opacity_volume(&all, self.blend)?;
         self.illumination.of_page(&opacities, &opacity_table(&opacities))
     }

@@ -229,7 +229,7 @@ impl Scene {
     }
 
     /// The volumes that are marched together, in their order.
-    pub(super) fn marched_volumes(&self) -> impl Iterator<Item = &Volume> {
+    pub fn marched_volumes(&self) -> impl Iterator<Item = &Volume> {
         std::iter::once(&*self.volume).chain(self.others.iter().map(|other| &*other.volume))
     }
 

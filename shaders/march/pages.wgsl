@@ -1,0 +1,98 @@
+// A march through the pages of a volume, whose texels lie in an atlas. Twin of Fields in
+// crates/core/src/kernels/march/field.rs. TABLE and FIELDS stand for the numbers of two bindings.
+
+// For each page of the finest level, x fastest, the index of the field that stands for it, and above LEVEL_SHIFT its level.
+@group(0) @binding(TABLE) var<storage, read> page_table: array<u32>;
+@group(0) @binding(FIELDS) var<storage, read> page_fields: array<PageField>;
+
+// What the march keeps of the page that it is in.
+struct Page {
+    scale: vec3f,
+    offset: vec3f,
+    first: vec3i,
+    last: vec3i,
+    light_scale: vec2f,
+    first_word: u32,
+}
+
+var<private> page: Page;
+
+// A step belongs to the page of its middle, so both ends are at most half a step outside.
+fn run_at(line: Line, lattice: Lattice, from_point: u32, stride: u32) -> Run {
+    let n = lattice.n;
+    let half = 0.5 * f32(stride);
+    var i = from_point;
+    while (i < n) {
+        let entry = entry_at(line, lattice, f32(i) + half);
+        let index = entry & ((1u << LEVEL_SHIFT) - 1u);
+        let faces = select(page_fields[index].low, page_fields[index].high, line.dir > vec3f(0.0));
+        let exits = (faces - line.origin) / line.dir;
+        let exit = min(min(exits.x, exits.y), exits.z);
+        let leaves = ceil((exit - lattice.s0) / lattice.h - half);
+        let end = select(n, max(u32(max(leaves, 0.0)), i + 1u), leaves < f32(n));
+        let scale = page_fields[index].scale;
+        // Lattice points from one voxel of the page to the next, as many as at the finest level.
+        let pace = max(u32(length(line.dir) / length(line.dir * scale) * (1.0 + 1e-4)), 1u);
+        if (page_fields[index].is_visible == 0u) {
+            let step = stride * pace;
+            i = min(i + (end - i + step - 1u) / step * step, n);
+            continue;
+        }
+        let is_same = end >= n
+            || entry_at(line, lattice, f32(end) + half) >> LEVEL_SHIFT == entry >> LEVEL_SHIFT;
+        page = Page(
+            scale,
+            page_fields[index].offset,
+            page_fields[index].first,
+            page_fields[index].last,
+            vec2f(page_fields[index].ambient, page_fields[index].diffuse),
+            page_fields[index].first_word,
+        );
+        return Run(i, end, select(end, n, is_same), pace);
+    }
+    return Run(n, n, n, 1u);
+}
+
+// The entry of the table at a place of the lattice, in steps.
+fn entry_at(line: Line, lattice: Lattice, place: f32) -> u32 {
+    let p = line.origin + line.dir * (lattice.s0 + place * lattice.h);
+    let index = clamp(p - 0.5, vec3f(0.0), vec3f(scene.dims - 1));
+    let at = min(vec3u(index) / PAGE_CELLS, scene.page_grid - 1u);
+    return page_table[(at.z * scene.page_grid.y + at.y) * scene.page_grid.x + at.x];
+}
+
+fn line_in_field(line: Line) -> Line {
+    return Line(line.origin * page.scale + page.offset, line.dir * page.scale);
+}
+
+fn first_texel() -> vec3i {
+    return page.first;
+}
+
+fn last_texel() -> vec3i {
+    return page.last;
+}
+
+fn steepness() -> vec3f {
+    return page.scale;
+}
+
+fn light_scale() -> vec2f {
+    return page.light_scale;
+}
+
+fn brick_dims() -> vec3u {
+    return vec3u(PAGE_BRICKS);
+}
+
+fn occupancy_byte(plane: u32, i: u32) -> u32 {
+    return byte_of(occupancy[page.first_word + plane * PAGE_WORDS + i / 4u], i);
+}
+
+// Where the level begins in an entry of the table.
+const LEVEL_SHIFT: u32 = 24;
+// Cells along the side of a page.
+const PAGE_CELLS: u32 = 64;
+// Bricks along the side of a page, and the words of a plane of its occupancy.
+const PAGE_BRICKS: u32 = 9;
+const PAGE_WORDS: u32 = 183;
