@@ -85,6 +85,13 @@ impl Difference {
         assert!(self.is_tolerable(), "{what}: {self:?}");
     }
 
+    /// Panics unless within the tolerance, or few pixels differ: where the nearest voxel counts, as for labels and gaps,
+    /// another rounding takes another one.
+    #[track_caller]
+    pub fn assert_alike_but_for_choices(self, what: &str) {
+        assert!(self.is_tolerable() || self.is_another_choice(), "{what}: {self:?}");
+    }
+
     /// Panics if within the tolerance: a negative control.
     #[track_caller]
     pub fn assert_noticed(self, what: &str) {

@@ -40,7 +40,7 @@ fn agree(gpu: &Gpu, base: &Scene, sets: &[Arc<PageSet>], what: &str) {
         let frame = renderer.generate(header(camera, 16)).unwrap();
         let cast = raycast(&frame, &base.volume.bounds(), &camera);
         let found = Difference::of(&cast, &renderer.render(&camera).unwrap());
-        assert!(found.is_tolerable() || found.is_another_choice(), "{what}, set {number}: {found:?}");
+        found.assert_alike_but_for_choices(&format!("{what}, set {number}, a frame"));
     }
     // The volume in memory is shown again as before.
     renderer.set_scene(base.clone()).unwrap();
@@ -128,7 +128,9 @@ fn a_long_volume_is_shown_by_pages() {
     let dims = [3000, 40, 40];
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("long.raw");
-    let Voxels::U8(bytes) = voxels(dims, VoxelKind::U8) else { panic!("expected bytes") };
+    let Voxels::U8(mut bytes) = voxels(dims, VoxelKind::U8) else { panic!("expected bytes") };
+    // A coarser level does not have what changes from voxel to voxel.
+    bytes.iter_mut().step_by(2).for_each(|byte| *byte = byte.saturating_add(60));
     std::fs::write(&path, bytes).unwrap();
     let raw = RawShape { dims, dtype: Dtype::Uint8, spacing: Vec3::ONE, endian: Endian::Little, offset: 0 };
     let options =

@@ -60,8 +60,8 @@ struct Seen<'a> {
 impl Atlas {
     pub(crate) fn new(gpu: &Gpu) -> Self {
         // A texture of 2048 texels a side has them on every device.
-        let deepest = gpu.device().limits().max_texture_dimension_3d / PAGE_POINTS;
-        let most = (SLOTS_A_SIDE * SLOTS_A_SIDE * deepest) as usize;
+        let widest = gpu.device().limits().max_texture_dimension_3d / PAGE_POINTS;
+        let most = (SLOTS_A_SIDE * SLOTS_A_SIDE * widest) as usize;
         Self { slots: Vec::new(), most, textures: Textures::default(), buffers: None, turn: 0 }
     }
 
@@ -297,18 +297,19 @@ fn occupancy_words(look: &PageLook) -> Vec<u32> {
     [words, peaks].concat()
 }
 
-/// Slots along x, y, z of textures with room for so many.
+/// Slots along x, y, z of textures with room for so many. They are narrow, as software devices keep rows one after
+/// another: so the texels of a page lie near each other.
 fn slot_dims(num: usize) -> [u32; 3] {
     let num = num as u32;
-    let x = num.min(SLOTS_A_SIDE);
-    let y = num.div_ceil(x).min(SLOTS_A_SIDE);
-    [x, y, num.div_ceil(x * y)]
+    let z = num.clamp(1, SLOTS_A_SIDE);
+    let y = num.div_ceil(z).min(SLOTS_A_SIDE);
+    [num.div_ceil(y * z), y, z]
 }
 
 /// The first texel of a slot.
 fn slot_origin(slot: usize) -> [u32; 3] {
     let slot = slot as u32;
-    [slot % SLOTS_A_SIDE, slot / SLOTS_A_SIDE % SLOTS_A_SIDE, slot / SLOTS_A_SIDE / SLOTS_A_SIDE]
+    [slot / SLOTS_A_SIDE / SLOTS_A_SIDE, slot / SLOTS_A_SIDE % SLOTS_A_SIDE, slot % SLOTS_A_SIDE]
         .map(|i| i * PAGE_POINTS)
 }
 
