@@ -98,53 +98,35 @@ fn pace_behind(transmittance: f32) -> u32 {
     return select(1u, STRIDE, transmittance < TRANSMITTANCE_HIDDEN);
 }
 
-// Jumps over invisible bricks along one ray.
-struct Skipper {
-    origin: vec3f,
-    dir: vec3f,
-    inv_dir: vec3f,
-    lattice: Lattice,
-    run: Run,
-    // Whether neighbouring ends of steps are in one brick or in bricks that touch.
-    is_fine: bool,
-}
-
 // A brick, and how many bricks away the nearest visible one is.
 struct Brick {
     brick: vec3f,
     empty: u32,
 }
 
-fn skipper_new(line: Line, lattice: Lattice, run: Run) -> Skipper {
-    let dir = line.dir;
-    let step = max(max(abs(dir.x), abs(dir.y)), abs(dir.z)) * lattice.h * f32(run.pace);
-    let origin = line.origin - vec3f(first_texel());
-    return Skipper(origin, dir, 1.0 / dir, lattice, run, step * f32(STRIDE) < f32(BRICK));
-}
-
 // The first lattice point from first on, by strides, whose step may be visible; the end of the run or more if none.
-fn skip(skipper: Skipper, first: u32, stride: u32) -> u32 {
-    let s0 = skipper.lattice.s0;
-    let h = skipper.lattice.h;
-    let end = skipper.run.end;
+fn skip(line: Line, lattice: Lattice, run: Run, first: u32, stride: u32) -> u32 {
     var i = first;
-    var at = brick_at(skipper, i);
+    var at = brick_at(line, lattice, i);
     while (at.empty > 0u) {
+        // Whether neighbouring ends of steps are in one brick or in bricks that touch.
+        let widest = max(max(abs(line.dir.x), abs(line.dir.y)), abs(line.dir.z));
+        let is_fine = widest * lattice.h * f32(run.pace * STRIDE) < f32(BRICK);
         // The last lattice point inside of the invisible bricks around.
-        let reach = select(1.0, f32(at.empty), skipper.is_fine);
-        let leaves = at.brick + select(vec3f(1.0 - reach), vec3f(reach), skipper.dir > vec3f(0.0));
-        let exits = (leaves * f32(BRICK) - skipper.origin) * skipper.inv_dir;
+        let reach = select(1.0, f32(at.empty), is_fine);
+        let leaves = at.brick + select(vec3f(1.0 - reach), vec3f(reach), line.dir > vec3f(0.0));
+        let exits = (leaves * f32(BRICK) + vec3f(first_texel()) - line.origin) / line.dir;
         let exit = min(min(exits.x, exits.y), exits.z);
-        let j = u32(clamp((exit - s0) / h, 0.0, f32(end)));
+        let j = u32(clamp((exit - lattice.s0) / lattice.h, 0.0, f32(run.end)));
         if (j > i) {
             i += (j - i) / stride * stride;
         }
         // A step between invisible bricks that touch is invisible as well.
-        let next = min(i + stride, skipper.run.limit);
-        if (i >= end || !skipper.is_fine) {
+        let next = min(i + stride, run.limit);
+        if (i >= run.end || !is_fine) {
             break;
         }
-        at = brick_at(skipper, next);
+        at = brick_at(line, lattice, next);
         if (at.empty > 0u) {
             i = next;
         }
@@ -152,8 +134,8 @@ fn skip(skipper: Skipper, first: u32, stride: u32) -> u32 {
     return i;
 }
 
-fn brick_at(skipper: Skipper, i: u32) -> Brick {
-    let p = skipper.origin + skipper.dir * (skipper.lattice.s0 + f32(i) * skipper.lattice.h);
+fn brick_at(line: Line, lattice: Lattice, i: u32) -> Brick {
+    let p = line.origin + line.dir * (lattice.s0 + f32(i) * lattice.h) - vec3f(first_texel());
     let brick = floor(clamp(p * (1.0 / f32(BRICK)), vec3f(0.0), vec3f(brick_dims()) - 1.0));
     let at = vec3u(brick);
     let index = (at.z * brick_dims().y + at.y) * brick_dims().x + at.x;
@@ -181,46 +163,51 @@ fn march(ray: Ray, lattice: Lattice) {
     // The last sample, if it was lattice point i.
     var x_front = At();
     var has_x_front = false;
+    var run = run_at(whole, lattice, 0u, 1u);
+    var line = line_in_field(whole);
+    i = run.first;
+    // One loop for all runs, so that invocations in fields of other sizes do not wait for each other.
     while (i < n) {
-        let run = run_at(whole, lattice, i, stride);
-        if (run.first > i) {
-            i = run.first;
-            has_x_front = false;
-        }
-        let line = line_in_field(whole);
-        let skipper = skipper_new(line, lattice, run);
-        while (i < run.end) {
-            let visible = skip(skipper, i, stride * run.pace);
-            if (visible > i) {
-                i = visible;
+        if (i >= run.end) {
+            // Another level has other values at the same point.
+            has_x_front = has_x_front && run.limit == n;
+            run = run_at(whole, lattice, i, stride);
+            if (run.first > i) {
+                i = run.first;
                 has_x_front = false;
-                if (i >= run.end) {
+                if (i >= n) {
                     break;
                 }
             }
-            let s_front = s0 + f32(i) * h;
-            var x0 = x_front;
-            if (!has_x_front) {
-                x0 = at_point(line.origin + line.dir * s_front);
-            }
-            let next = min(i + stride * run.pace, run.limit);
-            let s_back = s0 + f32(next) * h;
-            let x1 = at_point(line.origin + line.dir * s_back);
-            var pace = NO_STEP;
-            if (!is_gap(line.origin + line.dir * s_front) && !is_gap(line.origin + line.dir * s_back)) {
-                pace = take(Between(x0, x1, s_front, s_back, line, lattice));
-            }
-            if (pace == 0u) {
-                i = n;
-                break;
-            }
-            stride = select(pace, stride, pace == NO_STEP);
-            x_front = x1;
-            has_x_front = true;
-            i = next;
+            line = line_in_field(whole);
         }
-        // Another level has other values at the same point.
-        has_x_front = has_x_front && run.limit == n;
+        let visible = skip(line, lattice, run, i, stride * run.pace);
+        if (visible > i) {
+            i = visible;
+            has_x_front = false;
+            if (i >= run.end) {
+                continue;
+            }
+        }
+        let s_front = s0 + f32(i) * h;
+        var x0 = x_front;
+        if (!has_x_front) {
+            x0 = at_point(line.origin + line.dir * s_front);
+        }
+        let next = min(i + stride * run.pace, run.limit);
+        let s_back = s0 + f32(next) * h;
+        let x1 = at_point(line.origin + line.dir * s_back);
+        var pace = NO_STEP;
+        if (!is_gap(line.origin + line.dir * s_front) && !is_gap(line.origin + line.dir * s_back)) {
+            pace = take(Between(x0, x1, s_front, s_back, line, lattice));
+        }
+        if (pace == 0u) {
+            break;
+        }
+        stride = select(pace, stride, pace == NO_STEP);
+        x_front = x1;
+        has_x_front = true;
+        i = next;
     }
     end_march(lattice);
 }
