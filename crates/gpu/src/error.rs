@@ -14,6 +14,16 @@ pub enum GpuError {
         /// What the driver said.
         reason: String,
     },
+    /// There are fewer devices of a kind than wanted.
+    #[error("found {found} of the GPU '{name}', expected {wanted}")]
+    TooFew {
+        /// Name of the device.
+        name: String,
+        /// Devices of this kind that opened.
+        found: usize,
+        /// Devices that somebody asked for.
+        wanted: usize,
+    },
     /// The volume is read by pages.
     #[error("a volume that is read by pages is rendered on the CPU")]
     Pages,
@@ -67,6 +77,7 @@ impl GpuError {
             Self::OutOfMemory(_) | Self::Lost { .. } | Self::Failed { .. } => true,
             Self::NoAdapter(_)
             | Self::Open { .. }
+            | Self::TooFew { .. }
             | Self::TooLarge { .. }
             | Self::Pages
             | Self::Camera
