@@ -129,7 +129,8 @@ fn two_devices_serve_two_viewers_with_the_frames_of_one() {
     let bounds = scene.volume.bounds();
     let mut truth = single.renderer(scene).unwrap();
     for turn in [0.4, 2.0] {
-        let frames = [(&first, turn), (&second, turn + 1.0)].map(|(viewer, turn)| frame_from(viewer, pose(turn)));
+        let frames =
+            [(&first, turn), (&second, turn + 1.0)].map(|(viewer, turn)| frame_from(viewer, pose(turn)));
         let [mine, other] = frames.each_ref().map(|frame| truth.render(&frame.frame.header.camera).unwrap());
         let shown = frames.each_ref().map(|received| {
             let camera = received.frame.header.camera;

@@ -54,10 +54,8 @@ impl Gpu {
         let own = self.info();
         let adapters = adapters()?;
         let adapter = adapters.iter().find(|adapter| info_of(adapter) == *own);
-        adapter.map_or_else(
-            || Err(GpuError::NoAdapter(format!("'{}' has gone", own.name))),
-            Self::open_adapter,
-        )
+        adapter
+            .map_or_else(|| Err(GpuError::NoAdapter(format!("'{}' has gone", own.name))), Self::open_adapter)
     }
 }
 

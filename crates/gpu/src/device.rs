@@ -98,10 +98,7 @@ impl Gpu {
             required_limits: required_limits(&adapter.limits()),
             ..Default::default()
         }))
-        .map_err(|e| GpuError::Open {
-            adapter: info.name.clone(),
-            reason: one_line(&e.to_string()),
-        })?;
+        .map_err(|e| GpuError::Open { adapter: info.name.clone(), reason: one_line(&e.to_string()) })?;
         device.on_uncaptured_error(Arc::new(|error: wgpu::Error| {
             tracing::error!("uncaptured GPU error: {}", one_line(&error.to_string()));
         }));

@@ -115,9 +115,14 @@ pub(crate) struct FrameOrder {
 pub(crate) enum Job {
     Frame(Box<FrameJob>),
     Rows(Box<RowsJob>),
-    Replace { state: Box<RenderThread>, reply: oneshot::Sender<()> },
+    Replace {
+        state: Box<RenderThread>,
+        reply: oneshot::Sender<()>,
+    },
     /// The thread ends, and answers when its memory is free.
-    Stop { reply: oneshot::Sender<()> },
+    Stop {
+        reply: oneshot::Sender<()>,
+    },
 }
 
 pub(crate) type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;

@@ -225,7 +225,10 @@ mod tests {
         let all: Vec<(u32, f64)> = (0..4).map(|viewer| (viewer, 0.9)).collect();
         play.run(&all, 5.0);
         let devices = play.devices(0..4);
-        // The two of one device rest; the others share one.
+        // The two of one device rest, with answers to all they asked; the others share one.
+        for viewer in (0..4).filter(|viewer| devices[*viewer as usize] == 1) {
+            play.placement.end(ViewerId(viewer), play.now);
+        }
         let busy: Vec<(u32, f64)> =
             all.iter().copied().filter(|(viewer, _)| devices[*viewer as usize] == 0).collect();
         assert_eq!(busy.len(), 2);
