@@ -39,8 +39,8 @@ impl Gpu {
         }
         match wanted {
             Some(wanted) if devices.len() < wanted => {
-                let name = devices[0].info().name.clone();
-                Err(GpuError::TooFew { name, found: devices.len(), wanted })
+                let what = format!("GPUs of the kind '{}'", devices[0].info().name);
+                Err(GpuError::TooFew { what, found: devices.len(), wanted })
             }
             _ => Ok(devices),
         }

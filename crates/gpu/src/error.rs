@@ -15,10 +15,10 @@ pub enum GpuError {
         reason: String,
     },
     /// There are fewer devices of a kind than wanted.
-    #[error("found {found} of the GPU '{name}', expected {wanted}")]
+    #[error("found {found} {what}, expected {wanted}")]
     TooFew {
-        /// Name of the device.
-        name: String,
+        /// Their kind, in the plural.
+        what: String,
         /// Devices of this kind that opened.
         found: usize,
         /// Devices that somebody asked for.

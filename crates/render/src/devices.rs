@@ -74,7 +74,7 @@ impl Devices {
 
     fn of_cpu(cpu: Backend, wanted: Option<usize>) -> Result<Self, GpuError> {
         match wanted {
-            Some(wanted) => Err(GpuError::TooFew { name: "in hardware".into(), found: 0, wanted }),
+            Some(wanted) => Err(GpuError::TooFew { what: "GPUs in hardware".into(), found: 0, wanted }),
             None => Ok(cpu.into()),
         }
     }
