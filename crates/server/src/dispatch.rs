@@ -27,7 +27,7 @@ use crate::selection::SceneNumber;
 
 /// What all devices show.
 #[derive(Clone, Debug)]
-pub(crate) struct Stage {
+pub(crate) struct ShownScene {
     pub(crate) scene: Scene,
     /// The look of the scene.
     pub(crate) look: Look,
@@ -52,20 +52,20 @@ pub struct DeviceUse {
 
 /// Clones share the threads, which end with the last of them.
 #[derive(Clone)]
-pub(crate) struct Dispatch(Arc<Shared>);
+pub(crate) struct Dispatch(Arc<RenderThreads>);
 
-struct Shared {
-    state: Mutex<State>,
+struct RenderThreads {
+    state: Mutex<DispatchState>,
     /// Notified when a device is ready or no longer there.
     changed: watch::Sender<()>,
     after_work: AfterWork,
     counters: Counters,
 }
 
-struct State {
+struct DispatchState {
     placement: Placement,
     slots: Vec<Slot>,
-    stage: Stage,
+    shown: ShownScene,
 }
 
 struct Slot {
@@ -82,7 +82,7 @@ struct Slot {
 #[derive(Clone, Default)]
 pub(crate) struct Site {
     device: usize,
-    shared: Weak<Shared>,
+    shared: Weak<RenderThreads>,
     micros: Arc<AtomicU64>,
 }
 
@@ -110,7 +110,7 @@ impl Site {
 
 /// An order that has no answer yet.
 pub(crate) struct Working {
-    shared: Arc<Shared>,
+    shared: Arc<RenderThreads>,
     viewer: ViewerId,
 }
 
@@ -121,13 +121,13 @@ impl Drop for Working {
 }
 
 impl Dispatch {
-    /// Starts the first device that can show the stage, or the CPU if none can.
+    /// Starts the first device that can show the scene, or the CPU if none can.
     ///
     /// # Errors
     /// If the scene does not fit any device nor the CPU, or no thread is available.
     pub(crate) fn start(
         devices: &Devices,
-        stage: Stage,
+        shown: ShownScene,
         after_work: AfterWork,
         counters: Counters,
     ) -> Result<Self, ServeError> {
@@ -139,22 +139,22 @@ impl Dispatch {
             micros: Arc::default(),
         };
         let slots = devices.each().iter().map(slot).collect();
-        let shared = Arc::new(Shared {
-            state: Mutex::new(State { placement: Placement::new(num), slots, stage: stage.clone() }),
+        let shared = Arc::new(RenderThreads {
+            state: Mutex::new(DispatchState { placement: Placement::new(num), slots, shown: shown.clone() }),
             changed: watch::channel(()).0,
             after_work,
             counters,
         });
         let mut state = shared.state();
         for (device, backend) in devices.each().iter().enumerate() {
-            let renderer = match backend.renderer(stage.scene.clone()) {
+            let renderer = match backend.renderer(shown.scene.clone()) {
                 Err(e) if e.asks_for_cpu() && state.placement.lose(device) => {
                     tracing::error!("{}: {e}", backend.description());
                     continue;
                 }
                 Err(e) if e.asks_for_cpu() => {
                     tracing::error!("rendering on the CPU: {e}");
-                    Renderer::on_cpu(stage.scene.clone())
+                    Renderer::on_cpu(shown.scene.clone())
                 }
                 made => made?,
             };
@@ -227,11 +227,11 @@ impl Dispatch {
         self.0.state().placement.forget(viewer);
     }
 
-    /// Shows another stage. Devices that are in use get it before this returns, the others when somebody needs them.
+    /// Shows another scene. Devices that are in use get it before this returns, the others when somebody needs them.
     ///
     /// # Errors
     /// If it cannot be shown anywhere. Then nothing changes.
-    pub(crate) async fn show(&self, stage: Stage) -> Result<(), GpuError> {
+    pub(crate) async fn show(&self, shown: ShownScene) -> Result<(), GpuError> {
         self.reopen().await;
         let used: Vec<(usize, Backend)> = {
             let state = self.0.state();
@@ -239,7 +239,7 @@ impl Dispatch {
             used.map(|(device, slot)| (device, slot.backend.clone())).collect()
         };
         let make = |(device, backend): (usize, Backend)| {
-            let scene = stage.scene.clone();
+            let scene = shown.scene.clone();
             (device, tokio::task::spawn_blocking(move || backend.renderer(scene)))
         };
         let making: Vec<_> = used.into_iter().map(make).collect();
@@ -258,7 +258,7 @@ impl Dispatch {
                 }
             }
         }
-        self.0.replace(stage, made, full).await;
+        self.0.replace(shown, made, full).await;
         Ok(())
     }
 
@@ -281,14 +281,19 @@ impl Dispatch {
     }
 }
 
-impl Shared {
-    fn state(&self) -> MutexGuard<'_, State> {
+impl RenderThreads {
+    fn state(&self) -> MutexGuard<'_, DispatchState> {
         // Every change is one step, so a panic leaves the state in order.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn thread_state(self: &Arc<Self>, device: usize, renderer: Renderer, state: &State) -> RenderThread {
-        let Stage { look, number, lights, pager, .. } = state.stage.clone();
+    fn thread_state(
+        self: &Arc<Self>,
+        device: usize,
+        renderer: Renderer,
+        state: &DispatchState,
+    ) -> RenderThread {
+        let ShownScene { look, number, lights, pager, .. } = state.shown.clone();
         let slot = &state.slots[device];
         RenderThread {
             renderer,
@@ -304,7 +309,12 @@ impl Shared {
     }
 
     /// Starts the thread of a device.
-    fn run(self: &Arc<Self>, state: &mut State, device: usize, renderer: Renderer) -> Result<(), ServeError> {
+    fn run(
+        self: &Arc<Self>,
+        state: &mut DispatchState,
+        device: usize,
+        renderer: Renderer,
+    ) -> Result<(), ServeError> {
         // The march has threads of its own: on shared ones, encoding a frame would wait until the next one is
         // generated. A worker that waits takes any work, so devices share none either.
         let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
@@ -322,16 +332,16 @@ impl Shared {
         Ok(())
     }
 
-    /// Brings the stage to a device. If that fails, others do its work; the last one gets the CPU.
+    /// Brings the shown scene to a device. If that fails, others do its work; the last one gets the CPU.
     fn make_ready(self: &Arc<Self>, device: usize) {
         loop {
-            let (backend, stage) = {
+            let (backend, shown) = {
                 let state = self.state();
-                (state.slots[device].backend.clone(), state.stage.clone())
+                (state.slots[device].backend.clone(), state.shown.clone())
             };
-            let made = backend.renderer(stage.scene.clone());
+            let made = backend.renderer(shown.scene.clone());
             let mut state = self.state();
-            if state.stage.number != stage.number {
+            if state.shown.number != shown.number {
                 continue;
             }
             let renderer = match made {
@@ -345,7 +355,7 @@ impl Shared {
                 }
                 Err(e) => {
                     tracing::error!("rendering on the CPU: {e}");
-                    Some(Renderer::on_cpu(stage.scene))
+                    Some(Renderer::on_cpu(shown.scene))
                 }
             };
             let started = renderer.map(|renderer| self.run(&mut state, device, renderer));
@@ -369,13 +379,13 @@ impl Shared {
         state.placement.lose(device).then_some(())
     }
 
-    /// Puts the stage in the place of the one before: on the devices of `made` at once. Those that are `full` make room
+    /// Puts a scene in the place of the one before: on the devices of `made` at once. Those that are `full` make room
     /// first, and get it when somebody needs them.
-    async fn replace(self: &Arc<Self>, stage: Stage, made: Vec<(usize, Renderer)>, full: Vec<usize>) {
+    async fn replace(self: &Arc<Self>, shown: ShownScene, made: Vec<(usize, Renderer)>, full: Vec<usize>) {
         let mut answers = Vec::new();
         {
             let mut state = self.state();
-            state.stage = stage;
+            state.shown = shown;
             for (device, renderer) in made {
                 let thread = Box::new(self.thread_state(device, renderer, &state));
                 let (reply, answer) = oneshot::channel();

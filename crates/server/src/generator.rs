@@ -17,7 +17,7 @@ use tokio::sync::{Semaphore, oneshot};
 
 use crate::ServeError;
 use crate::counters::Counters;
-use crate::dispatch::{Dispatch, Stage};
+use crate::dispatch::{Dispatch, ShownScene};
 use crate::frame_memory::Held;
 use crate::lights::Lights;
 use crate::paging::FramePages;
@@ -167,17 +167,17 @@ pub(crate) struct Rows {
 }
 
 impl Generator {
-    /// Puts a stage on the threads of devices.
+    /// Puts a scene on the threads of devices.
     ///
     /// # Errors
     /// If the scene does not fit the backend, or no thread is available.
     pub(crate) fn start(
         devices: &Devices,
-        stage: Stage,
+        shown: ShownScene,
         after_work: AfterWork,
         counters: Counters,
     ) -> Result<Self, ServeError> {
-        let dispatch = Dispatch::start(devices, stage, after_work, counters)?;
+        let dispatch = Dispatch::start(devices, shown, after_work, counters)?;
         Ok(Self { dispatch, pictures: Arc::new(Semaphore::new(1)) })
     }
 

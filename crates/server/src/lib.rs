@@ -40,7 +40,7 @@ use tokio::task::JoinHandle;
 
 use ahead::ReadAhead;
 use audience::Audience;
-use dispatch::{Dispatch, Stage};
+use dispatch::{Dispatch, ShownScene};
 use frame_memory::FrameMemory;
 use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
@@ -170,8 +170,8 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
     let counters = Counters::new(server.refusals());
     let lights = present.lights.clone();
     let (number, pager) = (present.scene, present.pager.clone());
-    let stage = Stage { scene, look, number, lights, pager };
-    let generator = Generator::start(&devices, stage, after_work.clone(), counters.clone())?;
+    let shown = ShownScene { scene, look, number, lights, pager };
+    let generator = Generator::start(&devices, shown, after_work.clone(), counters.clone())?;
     let (commands, receiver) = mpsc::channel(1);
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);

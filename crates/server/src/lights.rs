@@ -127,10 +127,15 @@ fn remember(known: &mut Vec<(Look, Scene)>, look: Look, scene: Scene) {
 
 /// Memory of what scenes do not share, bytes.
 fn bytes_of(known: &[(Look, Scene)]) -> usize {
-    let mut lights: Vec<&Arc<Lit>> = known.iter().filter_map(|(_, scene)| scene.illumination.lit()).collect();
-    lights.sort_by_key(|lit| Arc::as_ptr(lit));
-    lights.dedup_by_key(|lit| Arc::as_ptr(lit));
-    let lights: usize = lights.iter().map(|lit| lit.shares.len()).sum();
+    // Ambient occlusion and shadows take about as much as the brightness that comes of them.
+    let cost = |look: &Look, lit: &Lit| lit.shares.len() * if look.lighting.is_on() { 2 } else { 1 };
+    let of_scene = |(look, scene): &(Look, Scene)| {
+        scene.illumination.lit().map(|lit| (Arc::as_ptr(lit), cost(look, lit)))
+    };
+    let mut lights: Vec<(*const Lit, usize)> = known.iter().filter_map(of_scene).collect();
+    lights.sort_unstable();
+    lights.dedup_by_key(|(lit, _)| *lit);
+    let lights: usize = lights.iter().map(|(_, bytes)| bytes).sum();
     let occupancy = |scene: &Scene| 4 * (scene.occupancy.words.len() + scene.occupancy.peaks.len());
     let tables: usize = known.iter().map(|(_, scene)| occupancy(scene) + TABLE_BYTES).sum();
     lights + tables

@@ -20,7 +20,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use crate::ahead::{Read, ReadAhead};
-use crate::dispatch::Stage;
+use crate::dispatch::ShownScene;
 use crate::generator::Generator;
 use crate::lights::Lights;
 use crate::paging::Pager;
@@ -378,8 +378,8 @@ impl SelectionReader {
         let number = SceneNumber(before.scene.0.wrapping_add(1));
         let present = Present::new(&scene, number, look.clone(), Some(parts.clone()), pager.clone());
         let (lights, bytes) = (present.lights.clone(), present.bytes);
-        let stage = Stage { scene, look, number, lights, pager };
-        if let Err(problem) = self.generator.dispatch.show(stage).await {
+        let shown = ShownScene { scene, look, number, lights, pager };
+        if let Err(problem) = self.generator.dispatch.show(shown).await {
             return Ended::Failed(problem.to_string());
         }
         self.present.send_replace(Arc::new(present));
