@@ -238,7 +238,7 @@ mod tests {
         assert_ne!(now[0], now[1]);
         // The control: two with little to do share a device, which costs nobody anything.
         let mut play = Play::new(2);
-        play.run(&[(0, 0.2), (1, 0.2)], 1.0);
+        play.run(&[(0, 0.2), (1, 0.2)], 5.0);
         let alike = play.devices(0..1)[0];
         play.placement.viewers.get_mut(&ViewerId(1)).unwrap().device = alike;
         play.run(&[(0, 0.2), (1, 0.2)], 10.0);
