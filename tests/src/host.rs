@@ -38,7 +38,7 @@ impl Host {
         let options = ServeOptions {
             volume: Arc::new(volume),
             look: Look::new(load_transfer(preset).expect("a preset")),
-            backend: Backend::Cpu,
+            devices: Backend::Cpu.into(),
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             plan: CodingPlan::EXACT,
             max_viewers: 4,

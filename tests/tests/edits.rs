@@ -42,7 +42,7 @@ fn play(
     let options = ServeOptions {
         volume: Arc::new(volume),
         look: look.clone(),
-        backend: Backend::Cpu,
+        devices: Backend::Cpu.into(),
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan: CodingPlan::default(),
         max_viewers: 4,

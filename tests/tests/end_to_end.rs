@@ -48,7 +48,7 @@ async fn serve_with(builtin: Builtin, plan: CodingPlan, backend: Backend) -> Run
     start(ServeOptions {
         volume: Arc::new(builtin.volume(48)),
         look: look(builtin),
-        backend,
+        devices: backend.into(),
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan,
         max_viewers: 4,

@@ -44,7 +44,7 @@ impl Host {
         let options = ServeOptions {
             volume: Arc::new(Builtin::Cloud.volume(32)),
             look: look(8),
-            backend,
+            devices: backend.into(),
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             plan: CodingPlan::EXACT,
             max_viewers: 4,

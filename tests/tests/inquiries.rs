@@ -36,7 +36,7 @@ fn serve(runtime: &Runtime, volume: &Arc<Volume>) -> RunningServer {
     let options = ServeOptions {
         volume: volume.clone(),
         look: look(),
-        backend: Backend::Cpu,
+        devices: Backend::Cpu.into(),
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan: CodingPlan::EXACT,
         library: None,

@@ -109,7 +109,7 @@ fn show(whole: &Volume, look: &Look, script: Script, max_bytes: u64) -> Shown {
     let options = ServeOptions {
         volume: Arc::new(volume),
         look: look.clone(),
-        backend: Backend::Cpu,
+        devices: Backend::Cpu.into(),
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan: CodingPlan::default(),
         max_viewers: 1,

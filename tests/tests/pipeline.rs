@@ -82,7 +82,7 @@ fn play(machine: Machine, mode: CodingMode, rtt: Duration) -> Outcome {
     let options = ServeOptions {
         volume: Arc::new(Builtin::Cubus.volume(16)),
         look: Look::new(load_transfer("cubus").unwrap()),
-        backend: Backend::Cpu,
+        devices: Backend::Cpu.into(),
         listen: SocketAddr::from(([127, 0, 0, 1], 0)),
         plan: CodingPlan { mode, ..CodingPlan::default() },
         max_viewers: 1,

@@ -37,7 +37,7 @@ impl Host {
         let options = ServeOptions {
             volume: Arc::new(Builtin::Shells.volume(SIDE)),
             look: look(8),
-            backend: Backend::Cpu,
+            devices: Backend::Cpu.into(),
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             plan,
             max_viewers: 4,

@@ -15,6 +15,7 @@ pub mod progress;
 pub mod scenes;
 pub mod speed;
 pub mod subject;
+pub mod viewers;
 pub mod visit;
 
 pub use error::BenchError;

@@ -191,7 +191,7 @@ fn skipping_empty_bricks_changes_nothing() {
     }
     // Negative control: a brick wrongly called empty shows.
     let mut holes = scene.clone();
-    holes.occupancy.words.iter_mut().for_each(|w| *w |= 0x0001_0001);
+    Arc::make_mut(&mut holes.occupancy.words).iter_mut().for_each(|w| *w |= 0x0001_0001);
     let camera = camera(&scene, 0.5);
     assert!(render(&scene, &camera) != render(&holes, &camera));
 }

@@ -291,7 +291,7 @@ fn field_of(set: &PageSet, page: &Page) -> PageField {
 
 /// The distances and the peaks of a page. Without peaks, every brick may hold the greatest key.
 fn occupancy_words(look: &PageLook) -> Vec<u32> {
-    let [mut words, mut peaks] = [&look.occupancy.words, &look.occupancy.peaks].map(Vec::clone);
+    let [mut words, mut peaks] = [&look.occupancy.words, &look.occupancy.peaks].map(|words| words.to_vec());
     words.resize(PAGE_WORDS as usize, 0);
     peaks.resize(PAGE_WORDS as usize, u32::MAX);
     [words, peaks].concat()

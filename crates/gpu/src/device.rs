@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use isinglass_core::kernels::combine::MAX_FRAMES;
 use wgpu::{BindingType, BufferBindingType, ShaderStages, TextureSampleType, TextureViewDimension};
 
+use crate::adapters::info_of;
 use crate::error::{GpuError, one_line, scoped};
 use crate::gpu_types::Band;
 use crate::pass_clock::PassClock;
@@ -20,6 +21,8 @@ pub struct GpuInfo {
     pub backend: String,
     /// Driver, with its version.
     pub driver: String,
+    /// Where it is on the PCI bus; empty if that is not known.
+    pub bus: String,
     /// Whether the "GPU" runs on the CPU, such as lavapipe.
     pub is_software: bool,
 }
@@ -86,34 +89,16 @@ impl CasterLayouts {
 }
 
 impl Gpu {
-    /// Opens the best working device: discrete before integrated before software. Without any this is an error.
-    pub fn open() -> Result<Self, GpuError> {
-        let mut problem = None;
-        for adapter in adapters()? {
-            match Self::open_adapter(&adapter) {
-                Ok(gpu) => return Ok(gpu),
-                Err(e) => {
-                    tracing::info!("{e}");
-                    // The error of the best device is the one to report.
-                    problem.get_or_insert(e);
-                }
-            }
-        }
-        Err(problem.unwrap_or_else(|| GpuError::NoAdapter("no driver offers a device".into())))
-    }
-
-    fn open_adapter(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
-        let adapter_info = adapter.get_info();
+    /// Opens a device of its own.
+    pub(crate) fn open_adapter(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
+        let info = info_of(adapter);
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("isinglass"),
             required_features: PassClock::features(adapter),
             required_limits: required_limits(&adapter.limits()),
             ..Default::default()
         }))
-        .map_err(|e| GpuError::Open {
-            adapter: adapter_info.name.clone(),
-            reason: one_line(&e.to_string()),
-        })?;
+        .map_err(|e| GpuError::Open { adapter: info.name.clone(), reason: one_line(&e.to_string()) })?;
         device.on_uncaptured_error(Arc::new(|error: wgpu::Error| {
             tracing::error!("uncaptured GPU error: {}", one_line(&error.to_string()));
         }));
@@ -123,15 +108,9 @@ impl Gpu {
             let text = one_line(&format!("{reason:?} {message}"));
             *on_lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(text);
         });
-        let info = GpuInfo {
-            name: adapter_info.name,
-            backend: adapter_info.backend.to_string(),
-            driver: format!("{} {}", adapter_info.driver, adapter_info.driver_info).trim().to_owned(),
-            is_software: adapter_info.device_type == wgpu::DeviceType::Cpu,
-        };
         let layouts = scoped(&device, "making layouts", || Ok(Layouts::new(&device)))?;
         let pass_clock = PassClock::new(&device, &queue);
-        let device_type = adapter_info.device_type;
+        let device_type = adapter.get_info().device_type;
         let pipelines = Mutex::default();
         let shared = Shared { device, queue, info, layouts, pipelines, lost, device_type, pass_clock };
         Ok(Self { shared: Arc::new(shared) })
@@ -343,36 +322,6 @@ fn required_limits(offered: &wgpu::Limits) -> wgpu::Limits {
     }
 }
 
-/// Adapters with everything that kernels need: discrete, integrated, others, then software. At least one.
-fn adapters() -> Result<Vec<wgpu::Adapter>, GpuError> {
-    let backends = wgpu::Backends::PRIMARY;
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
-        backends,
-        // Beyond that, textures are refused in time. Some drivers would lose the device.
-        memory_budget_thresholds: wgpu::MemoryBudgetThresholds {
-            for_resource_creation: Some(MOST_MEMORY_PERCENT),
-            for_device_loss: None,
-        },
-        ..wgpu::InstanceDescriptor::new_without_display_handle()
-    });
-    let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
-        wgpu::DeviceType::DiscreteGpu => 0,
-        wgpu::DeviceType::IntegratedGpu => 1,
-        wgpu::DeviceType::VirtualGpu => 2,
-        wgpu::DeviceType::Other => 3,
-        wgpu::DeviceType::Cpu => 4,
-    };
-    let mut adapters = pollster::block_on(instance.enumerate_adapters(backends));
-    let first = adapters.first().map(|a| a.get_info().name);
-    adapters.retain(|a| wgpu::Limits::default().check_limits(&a.limits()));
-    adapters.sort_by_key(rank);
-    if adapters.is_empty() {
-        let too_small = first.map(|name| format!("'{name}' lacks what the kernels need"));
-        return Err(GpuError::NoAdapter(too_small.unwrap_or_else(|| "no driver offers a device".into())));
-    }
-    Ok(adapters)
-}
-
 /// A bind group layout with the given types at bindings 0, 1, 2 …
 pub(crate) fn layout(
     device: &wgpu::Device,
@@ -497,8 +446,6 @@ pub(crate) const WRITE: BindingType = BindingType::Buffer {
     has_dynamic_offset: false,
     min_binding_size: None,
 };
-/// Most of a device's memory that may be in use, by everybody.
-const MOST_MEMORY_PERCENT: u8 = 90;
 /// Steps of all rays in a dispatch.
 const STEPS_OF_DISCRETE: u32 = 1 << 30;
 const STEPS_OF_OTHERS: u32 = 1 << 27;

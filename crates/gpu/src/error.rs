@@ -20,6 +20,16 @@ pub enum GpuError {
         /// Pages that it has memory for.
         most: usize,
     },
+    /// There are fewer devices of a kind than wanted.
+    #[error("found {found} {what}, expected {wanted}")]
+    TooFew {
+        /// Their kind, in the plural.
+        what: String,
+        /// Devices of this kind that opened.
+        found: usize,
+        /// Devices that somebody asked for.
+        wanted: usize,
+    },
     /// Something exceeds a limit of the device.
     #[error("{what} needs {needed}, the device takes at most {limit}")]
     TooLarge {
@@ -70,6 +80,7 @@ impl GpuError {
             Self::OutOfMemory(_) | Self::Lost { .. } | Self::Failed { .. } => true,
             Self::NoAdapter(_)
             | Self::Open { .. }
+            | Self::TooFew { .. }
             | Self::TooLarge { .. }
             | Self::Pages { .. }
             | Self::Camera

@@ -3,6 +3,7 @@
 //!
 //! Nothing here panics without a GPU, memory or a responding driver: all of that is a [`GpuError`].
 
+mod adapters;
 mod atlas;
 mod casts;
 mod combine;

@@ -70,7 +70,7 @@ impl WholeTexels {
         gpu.queue().write_buffer(&self.occupancy, 0, bytemuck::cast_slice(words));
         // Without peaks, every brick may hold the greatest key.
         let unknown = if peaks.is_empty() { vec![u32::MAX; words.len()] } else { Vec::new() };
-        let peaks = if peaks.is_empty() { &unknown } else { peaks };
+        let peaks = if peaks.is_empty() { &unknown[..] } else { peaks };
         gpu.queue().write_buffer(&self.occupancy, words.len() as u64 * 4, bytemuck::cast_slice(peaks));
         Ok(())
     }

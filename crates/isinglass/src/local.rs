@@ -78,7 +78,7 @@ impl LocalServers for Locals {
         let options = ServeOptions {
             volume: opened.volume,
             look,
-            backend: self.backend()?,
+            devices: self.backend()?.into(),
             listen: ([127, 0, 0, 1], 0).into(),
             plan: CodingPlan::default(),
             max_viewers: 1,

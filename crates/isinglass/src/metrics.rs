@@ -23,7 +23,7 @@ pub(crate) fn text(attendance: Attendance, counters: &Counters) -> String {
     add("frame_bytes_total", "counter", "Bytes of coded frames.", counters.frame_bytes() as f64);
     add("refusals_total", "counter", "Connections that came to nothing.", counters.refusals() as f64);
     let seconds = counters.rendering().as_secs_f64();
-    add("rendering_seconds_total", "counter", "Time in which the rendering thread has worked.", seconds);
+    add("rendering_seconds_total", "counter", "Time in which the rendering threads have worked.", seconds);
     text
 }
 

@@ -3,6 +3,8 @@
 //! Callers use a [`Backend`] and need not know where it runs. This crate has no kernels: those of the GPU are in
 //! `isinglass-gpu`, their twins in `isinglass-core`.
 
+mod devices;
+
 use std::ops::Range;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -20,6 +22,8 @@ use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
+
+pub use devices::{Devices, GpuCount};
 
 /// The user's choice of a backend.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -102,18 +106,18 @@ impl Backend {
         matches!(self, Self::Gpu(gpu) if gpu.is_lost())
     }
 
-    /// This backend, or a newly opened one if its device is lost; the CPU if there is none of the kind.
-    pub fn reopened(&self) -> Self {
-        let Self::Gpu(gone) = self else { return self.clone() };
+    /// This backend, or one that was opened again if its device is lost: the same device, or another of the kind.
+    /// `None` if there is none.
+    pub fn reopened(&self) -> Option<Self> {
+        let Self::Gpu(gone) = self else { return Some(self.clone()) };
         if !gone.is_lost() {
-            return self.clone();
+            return Some(self.clone());
         }
-        match Gpu::open() {
-            Ok(gpu) if gone.info().is_software || !gpu.info().is_software => Self::Gpu(gpu),
-            Ok(_) => Self::Cpu,
+        match gone.open_again().or_else(|_| Gpu::open()) {
+            Ok(gpu) => (gone.info().is_software || !gpu.info().is_software).then_some(Self::Gpu(gpu)),
             Err(e) => {
                 tracing::error!("the GPU cannot be opened again: {e}");
-                Self::Cpu
+                None
             }
         }
     }

@@ -10,7 +10,7 @@ use isinglass_core::layer::FrameHeader;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
-use isinglass_render::{Backend, BackendChoice};
+use isinglass_render::{Backend, BackendChoice, Devices, GpuCount};
 
 #[test]
 #[cfg(target_os = "linux")]
@@ -71,4 +71,49 @@ fn choices_go_by_their_names() {
     }
     assert!("vulkan".parse::<BackendChoice>().unwrap_err().contains("auto, gpu, cpu"));
     assert_eq!(Backend::open(BackendChoice::Cpu).unwrap().description(), "cpu");
+}
+
+#[test]
+fn numbers_of_gpus_go_by_their_names() {
+    for (text, count) in [
+        ("all", GpuCount::All),
+        ("one", GpuCount::Number(1)),
+        ("1", GpuCount::Number(1)),
+        ("3", GpuCount::Number(3)),
+    ] {
+        assert_eq!(text.parse(), Ok(count));
+        assert_eq!(count.to_string().parse(), Ok(count));
+    }
+    for bad in ["", "0", "-1", "two", "65", "1.5"] {
+        assert!(bad.parse::<GpuCount>().unwrap_err().contains("all, one, or 1 to 64"), "{bad}");
+    }
+    // The CPU is one place, and never several.
+    let cpu = Devices::open(BackendChoice::Cpu, GpuCount::All).unwrap();
+    assert_eq!((cpu.each().len(), cpu.description()), (1, "cpu".into()));
+    let few = Devices::open(BackendChoice::Cpu, GpuCount::Number(2)).err().unwrap();
+    assert!(few.to_string().contains("found 0") && few.to_string().contains("expected 2"), "{few}");
+}
+
+#[test]
+fn a_software_device_opens_as_often_as_wanted_and_once_by_default() {
+    let Ok(first) = Gpu::open() else {
+        assert!(std::env::var_os("ISINGLASS_STRICT").is_none_or(|v| v != "1"), "no device");
+        eprintln!("skipped: no device");
+        return;
+    };
+    if !first.info().is_software {
+        eprintln!("skipped: a device in hardware is there once");
+        return;
+    }
+    let open = |gpus| Devices::open(BackendChoice::Gpu, gpus).unwrap();
+    let two = open(GpuCount::Number(2));
+    assert_eq!(two.each().len(), 2);
+    assert!(two.description().starts_with("2 gpus: "), "{}", two.description());
+    let [Backend::Gpu(one), Backend::Gpu(other)] = two.each() else { panic!("two GPUs") };
+    one.device().destroy();
+    assert!(!other.is_lost() && other.device() != one.device(), "each is a device of its own");
+    // The controls: nobody asked for more than one, or for software at all.
+    assert_eq!(open(GpuCount::All).each().len(), 1);
+    assert_eq!(Devices::open(BackendChoice::Auto, GpuCount::All).unwrap().description(), "cpu");
+    assert!(Devices::open(BackendChoice::Auto, GpuCount::Number(2)).is_err());
 }

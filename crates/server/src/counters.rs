@@ -32,7 +32,7 @@ impl Counters {
         self.0.frame_bytes.load(Ordering::Relaxed)
     }
 
-    /// Time in which the rendering thread has worked.
+    /// Time in which the rendering threads have worked, of all together.
     pub fn rendering(&self) -> Duration {
         Duration::from_micros(self.0.render_micros.load(Ordering::Relaxed))
     }

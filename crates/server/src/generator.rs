@@ -1,4 +1,4 @@
-//! Orders for the rendering thread: layered frames and pictures.
+//! Orders for the rendering threads: layered frames and pictures.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,27 +12,24 @@ use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::Occlusion;
 use isinglass_gpu::GpuError;
 use isinglass_net::AfterWork;
-use isinglass_render::{Backend, FrameInPieces, Renderer};
-use tokio::sync::{Semaphore, mpsc, oneshot};
+use isinglass_render::{Devices, FrameInPieces};
+use tokio::sync::{Semaphore, oneshot};
 
 use crate::ServeError;
-use crate::company::Company;
 use crate::counters::Counters;
+use crate::dispatch::{Dispatch, ShownScene};
 use crate::frame_memory::Held;
 use crate::lights::Lights;
-use crate::paging::{FramePages, Pager};
+use crate::paging::FramePages;
 use crate::render_thread::RenderThread;
 use crate::selection::SceneNumber;
 
-/// Has layered frames made; viewers share the time. Clones share the thread, which ends with the last of them.
+/// Has layered frames made; viewers share the time. Clones share the threads, which end with the last of them.
 #[derive(Clone)]
 pub(crate) struct Generator {
-    jobs: mpsc::Sender<Job>,
-    after_work: AfterWork,
+    /// Which thread does whose work.
+    pub(crate) dispatch: Dispatch,
     pictures: Arc<Semaphore>,
-    /// Who has had work lately.
-    pub(crate) company: Company,
-    counters: Counters,
 }
 
 pub(crate) struct Generated {
@@ -73,7 +70,7 @@ pub(crate) enum GenerateError {
     /// The GPU has failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A panic. The CPU makes all later frames.
+    /// A panic. Another device or the CPU makes all later frames.
     #[error("the renderer failed on this frame")]
     Panicked,
     /// The frame was cancelled.
@@ -82,6 +79,9 @@ pub(crate) enum GenerateError {
     /// Another volume is shown by now.
     #[error("the frame is of a volume that is no longer shown")]
     OtherVolume,
+    /// The device of this viewer is lost. Another makes all later frames.
+    #[error("the renderer of this frame is lost")]
+    Moved,
 }
 
 impl GenerateError {
@@ -89,7 +89,7 @@ impl GenerateError {
     pub(crate) fn is_lost(&self) -> bool {
         match self {
             Self::Gpu(e) => e.is_lost(),
-            Self::Panicked => true,
+            Self::Panicked | Self::Moved => true,
             Self::GivenUp | Self::OtherVolume => false,
         }
     }
@@ -115,7 +115,14 @@ pub(crate) struct FrameOrder {
 pub(crate) enum Job {
     Frame(Box<FrameJob>),
     Rows(Box<RowsJob>),
-    Replace { state: Box<RenderThread>, reply: oneshot::Sender<()> },
+    Replace {
+        state: Box<RenderThread>,
+        reply: oneshot::Sender<()>,
+    },
+    /// The thread ends, and answers when its memory is free.
+    Stop {
+        reply: oneshot::Sender<()>,
+    },
 }
 
 pub(crate) type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;
@@ -160,81 +167,38 @@ pub(crate) struct Rows {
 }
 
 impl Generator {
-    /// Puts a scene with `look` on a thread of its own.
+    /// Puts a scene on the threads of devices.
     ///
     /// # Errors
     /// If the scene does not fit the backend, or no thread is available.
     pub(crate) fn start(
-        backend: &Backend,
-        scene: Scene,
-        look: Look,
-        (lights, pager): (Lights, Option<Pager>),
+        devices: &Devices,
+        shown: ShownScene,
         after_work: AfterWork,
         counters: Counters,
     ) -> Result<Self, ServeError> {
-        let company = Company::default();
-        let renderer = renderer_of(backend, scene)?;
-        let mut state = RenderThread {
-            renderer,
-            look,
-            scene: SceneNumber::default(),
-            lights,
-            pager,
-            paged: None,
-            after_work: after_work.clone(),
-            company: company.clone(),
-            counters: counters.clone(),
-        };
-        // The march has threads of its own: on shared ones, encoding a frame would wait until the next one is
-        // generated.
-        let threads = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("march {i}")).build()?;
-        let (jobs, mut receiver) = mpsc::channel(MAX_JOBS);
-        let work = move || state.work(&mut receiver);
-        std::thread::Builder::new()
-            .name("generator".into())
-            .spawn(move || threads.install(work))
-            .map_err(ServeError::Thread)?;
-        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)), company, counters })
+        let dispatch = Dispatch::start(devices, shown, after_work, counters)?;
+        Ok(Self { dispatch, pictures: Arc::new(Semaphore::new(1)) })
     }
 
     /// The ordered frame, while its wish holds. It may be smaller than its header says, to keep to its memory. `None`
-    /// if the thread has ended.
+    /// if no thread is left.
     ///
     /// # Errors
     /// If this frame cannot be made.
     pub(crate) async fn generate(&self, order: FrameOrder) -> Option<Result<Generated, GenerateError>> {
+        let viewer = order.viewer;
         let (reply, answer) = oneshot::channel();
         let job = Box::new(FrameJob { order, reply, begun: None, spent_micros: 0 });
-        self.jobs.send(Job::Frame(job)).await.ok()?;
-        answer.await.ok()
-    }
-
-    /// Later frames show another scene, which has `look`. Returns false if the thread has ended.
-    pub(crate) async fn replace(
-        &self,
-        renderer: Renderer,
-        look: Look,
-        number: SceneNumber,
-        (lights, pager): (Lights, Option<Pager>),
-    ) -> bool {
-        let (reply, answer) = oneshot::channel();
-        let state = Box::new(RenderThread {
-            renderer,
-            look,
-            scene: number,
-            lights,
-            pager,
-            paged: None,
-            after_work: self.after_work.clone(),
-            company: self.company.clone(),
-            counters: self.counters.clone(),
-        });
-        self.jobs.send(Job::Replace { state, reply }).await.is_ok() && answer.await.is_ok()
+        let working = self.dispatch.send(viewer, Job::Frame(job)).await?;
+        let made = answer.await;
+        drop(working);
+        Some(made.unwrap_or(Err(GenerateError::Moved)))
     }
 
     /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade. It is 8-bit
     /// sRGB over a linear background, three bytes per pixel, or transparent with four. It is made in pieces, with frames in between, and only
-    /// one at a time, because pictures are large. `None` if the thread has ended. Dropping this cancels the picture.
+    /// one at a time, because pictures are large. `None` if no thread is left. Dropping this cancels the picture.
     ///
     /// # Errors
     /// If it cannot be made.
@@ -254,8 +218,10 @@ impl Generator {
             let (reply, answer) = oneshot::channel();
             let (look, lit, pages) = (look.clone(), lit.clone(), pages.clone());
             let job = RowsJob { viewer, scene, look, lit, camera, pages, first, num_pixels, reply };
-            self.jobs.send(Job::Rows(Box::new(job))).await.ok()?;
-            match answer.await.ok()? {
+            let working = self.dispatch.send(viewer, Job::Rows(Box::new(job))).await?;
+            let made = answer.await.unwrap_or(Err(GenerateError::Moved));
+            drop(working);
+            match made {
                 Ok(Rows { picture: rows, micros }) => {
                     first += rows.height;
                     let share = ROWS_MICROS as f64 / micros.max(1) as f64;
@@ -275,18 +241,5 @@ impl Generator {
     }
 }
 
-/// A renderer on the backend, or on the CPU if that fails by itself or is too small.
-pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, GpuError> {
-    match backend.renderer(scene.clone()) {
-        Err(e) if e.asks_for_cpu() => {
-            tracing::error!("rendering on the CPU: {e}");
-            Backend::Cpu.renderer(scene)
-        }
-        made => made,
-    }
-}
-
-/// Most jobs on their way to the thread. Every viewer waits for one frame and one piece of a picture at most.
-const MAX_JOBS: usize = 16;
 /// Time for the rows of a picture, µs: no viewer waits longer for its frame.
 const ROWS_MICROS: u64 = 50_000;

@@ -1,8 +1,8 @@
 //! The server: owns one volume, renders layered frames of it and serves any number of viewers, each with its own pose
 //! and look. Another part of the volume's file may take its place, for all of them.
 //!
-//! One thread owns the renderer and makes frames in pieces; the next piece is for whoever has used least of its time,
-//! so all get the same share. A viewer's frame is made for the newest pose that has arrived. It is begun so
+//! One thread owns the renderer of each device and makes frames in pieces; the next piece is for whoever has used least
+//! of its time, so all get the same share. A viewer's frame is made for the newest pose that has arrived. It is begun so
 //! that the coder and the network are free when it is done. None is made for a pose that has been answered. At rest
 //! the same frame is sent again finer, and at last exactly. This crate opens no files and no window.
 
@@ -10,11 +10,13 @@ mod ahead;
 mod audience;
 mod company;
 mod counters;
+mod dispatch;
 mod frame_memory;
 mod generator;
 mod lights;
 mod paging;
 mod pipeline;
+mod placement;
 mod render_thread;
 mod screenshots;
 mod selection;
@@ -32,17 +34,19 @@ use isinglass_core::volume::Volume;
 use isinglass_core::wire::Choices;
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, BindError, Clock, Identity, Journal, Link, Server};
-use isinglass_render::Backend;
+use isinglass_render::Devices;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use ahead::ReadAhead;
 use audience::Audience;
+use dispatch::{Dispatch, ShownScene};
 use frame_memory::FrameMemory;
 use generator::Generator;
 use selection::{Present, SceneNumber, SelectionReader};
 
 pub use counters::Counters;
+pub use dispatch::DeviceUse;
 pub use paging::{FramePages, Pager};
 pub use selection::{Loaded, Loader, Survey};
 
@@ -52,8 +56,8 @@ pub struct ServeOptions {
     pub volume: Arc<Volume>,
     /// The first look of viewers; must be valid.
     pub look: Look,
-    /// Where kernels run.
-    pub backend: Backend,
+    /// Where kernels run. With several devices, a viewer's frames are made by the one with the least load.
+    pub devices: Devices,
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
     /// The coding of frames.
@@ -118,6 +122,7 @@ pub struct RunningServer {
     commands: mpsc::Sender<Command>,
     attendance: watch::Receiver<Attendance>,
     counters: Counters,
+    dispatch: Dispatch,
     newest: watch::Receiver<Option<Journal>>,
     serving: JoinHandle<()>,
 }
@@ -150,7 +155,7 @@ pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningServer, ServeError> {
-    let ServeOptions { volume, look, backend, listen, plan, max_viewers, frame_memory, library, timing } =
+    let ServeOptions { volume, look, devices, listen, plan, max_viewers, frame_memory, library, timing } =
         options;
     let Timing { clock, after_work } = timing;
     let pager = Pager::of(&volume)?;
@@ -164,18 +169,18 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
     let address = server.local_addr().map_err(|source| BindError::Io { address: listen, source })?;
     let counters = Counters::new(server.refusals());
     let lights = present.lights.clone();
-    let of = (lights, present.pager.clone());
-    let generator = Generator::start(&backend, scene, look, of, after_work.clone(), counters.clone())?;
+    let (number, pager) = (present.scene, present.pager.clone());
+    let shown = ShownScene { scene, look, number, lights, pager };
+    let generator = Generator::start(&devices, shown, after_work.clone(), counters.clone())?;
     let (commands, receiver) = mpsc::channel(1);
     let (present_in, present) = watch::channel(present);
     let (load_in, load) = watch::channel(None);
     let (orders, orders_out) = mpsc::channel(MAX_ORDERS);
     // Building the tables now keeps the first frame's coding time representative.
     tokio::task::spawn_blocking(isinglass_core::codec::prepare);
-    tracing::info!(%address, backend = backend.description(), "serving");
+    tracing::info!(%address, devices = devices.description(), "serving");
     let reader = SelectionReader {
         loader,
-        backend,
         generator: generator.clone(),
         orders: orders_out,
         present: present_in,
@@ -183,6 +188,7 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
         ahead,
         reading: None,
     };
+    let dispatch = generator.dispatch.clone();
     let coders = pipeline::coders()?;
     let slice_makers = Arc::new(slices::SliceMakers::new()?);
     let common = serving::Common {
@@ -201,7 +207,7 @@ pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningSer
     let (attendance_in, attendance) = watch::channel(Attendance::default());
     let (newest_in, newest) = watch::channel(None);
     let serving = tokio::spawn(serving::serve(server, reader, common, receiver, attendance_in, newest_in));
-    Ok(RunningServer { address, commands, attendance, counters, newest, serving })
+    Ok(RunningServer { address, commands, attendance, counters, dispatch, newest, serving })
 }
 
 /// Most orders that wait: the newest counts, and each is taken at once.
@@ -221,6 +227,11 @@ impl RunningServer {
     /// What the server has done so far.
     pub fn counters(&self) -> Counters {
         self.counters.clone()
+    }
+
+    /// What each of its devices does now.
+    pub fn devices(&self) -> Vec<DeviceUse> {
+        self.dispatch.uses()
     }
 
     /// The frames' lives of the newest viewer.

@@ -1,13 +1,14 @@
-//! Scenes of the shown volume with final shade, computed beside the rendering thread.
+//! Scenes of the shown volume with final shade, which all rendering threads share.
 //!
 //! While somebody changes the look, the generator makes frames with a draft of the shade. When the look rests, the
-//! final shade is computed here, one look at a time for all viewers. Frames use it from then on.
+//! final shade is computed here, one look at a time for all viewers. Frames use it from then on. A look without shade is
+//! computed when it is first shown.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::look::Look;
-use isinglass_core::volume::{Detail, Volume};
+use isinglass_core::volume::{Detail, Lit, PageSet, Volume};
 use tokio::sync::Semaphore;
 
 /// Clones share the scenes.
@@ -18,6 +19,10 @@ pub(crate) struct Lights {
     /// Known scenes, the newest last.
     known: Arc<Mutex<Vec<(Look, Scene)>>>,
     turns: Arc<Semaphore>,
+    /// Held while a rendering thread computes a look without shade.
+    computing: Arc<Mutex<()>>,
+    /// The newest scene with pages, which shares with the next one what stays.
+    paged: Arc<Mutex<Option<Scene>>>,
     /// Whether the volume is read by pages, whose light takes a while.
     is_paged: bool,
 }
@@ -35,6 +40,8 @@ impl Lights {
             base: Arc::new(scene.clone()),
             known: Arc::new(Mutex::new(known)),
             turns: Arc::new(Semaphore::new(1)),
+            computing: Arc::default(),
+            paged: Arc::default(),
             is_paged,
         }
     }
@@ -61,6 +68,30 @@ impl Lights {
         scenes.last().map(|(_, scene)| scene.clone())
     }
 
+    /// The scene of a look without ambient occlusion and shadows, computed if necessary from the volume under another
+    /// look. `None` if the look has any of both.
+    pub(crate) fn known_without_shade(&self, look: &Look, from: impl FnOnce() -> Scene) -> Option<Scene> {
+        if look.lighting.is_on() || self.is_paged {
+            return None;
+        }
+        // Nobody computes the same meanwhile.
+        let _turn = lock(&self.computing);
+        self.known(look).or_else(|| {
+            let scene = from().under(look, Detail::Final, None);
+            remember(&mut self.scenes(), look.clone(), scene.clone());
+            Some(scene)
+        })
+    }
+
+    /// A scene by other pages. What stays is shared with the pages that any thread has shown last.
+    pub(crate) fn with_pages(&self, scene: &Scene, set: &Arc<PageSet>) -> Scene {
+        // Who comes meanwhile waits, and then finds what both have in common.
+        let mut newest = lock(&self.paged);
+        let scene = scene.with_pages(set.clone(), newest.as_ref());
+        *newest = Some(scene.clone());
+        scene
+    }
+
     /// The scene of a look, computed if necessary. `None` if that failed.
     pub(crate) async fn scene(&self, look: &Look) -> Option<Scene> {
         let turn = self.turns.clone().acquire_owned().await.ok()?;
@@ -75,11 +106,7 @@ impl Lights {
             let newest = lock(&known).last().map_or_else(|| (*base).clone(), |(_, scene)| scene.clone());
             let occlusion = newest.illumination.occlusion();
             let scene = newest.under(&look, Detail::Final, occlusion.as_ref());
-            let mut known = lock(&known);
-            if known.len() == MAX_KNOWN {
-                known.remove(0);
-            }
-            known.push((look, scene.clone()));
+            remember(&mut lock(&known), look, scene.clone());
             scene
         });
         work.await.inspect_err(|e| tracing::error!("no light: {e}")).ok()
@@ -90,10 +117,41 @@ impl Lights {
     }
 }
 
-/// Every change is one step, so a panic leaves the list in order.
-fn lock(known: &Mutex<Vec<(Look, Scene)>>) -> MutexGuard<'_, Vec<(Look, Scene)>> {
-    known.lock().unwrap_or_else(PoisonError::into_inner)
+/// Notes the scene of a look. What was used least lately goes, as far as there is no room.
+fn remember(known: &mut Vec<(Look, Scene)>, look: Look, scene: Scene) {
+    known.push((look, scene));
+    while known.len() > MIN_KNOWN && bytes_of(known) > MAX_BYTES {
+        known.remove(0);
+    }
 }
 
-/// Scenes that are kept, of a byte or two per voxel each. With more looks in use at once, some are computed again.
-const MAX_KNOWN: usize = 3;
+/// Memory of what scenes do not share, bytes.
+fn bytes_of(known: &[(Look, Scene)]) -> usize {
+    // Ambient occlusion and shadows take about as much as the brightness that comes of them.
+    let cost = |look: &Look, lit: &Lit| lit.shares.len() * if look.lighting.is_on() { 2 } else { 1 };
+    let of_scene = |(look, scene): &(Look, Scene)| {
+        scene.illumination.lit().map(|lit| (Arc::as_ptr(lit), cost(look, lit)))
+    };
+    let mut lights: Vec<(*const Lit, usize)> = known.iter().filter_map(of_scene).collect();
+    lights.sort_unstable();
+    lights.dedup_by_key(|(lit, _)| *lit);
+    let lights: usize = lights.iter().map(|(_, bytes)| bytes).sum();
+    let occupancy = |scene: &Scene| 4 * (scene.occupancy.words.len() + scene.occupancy.peaks.len());
+    let tables: usize = known.iter().map(|(_, scene)| occupancy(scene) + TABLE_BYTES).sum();
+    lights + tables
+}
+
+/// Every change is one step, so a panic leaves what it guards in order.
+fn lock<T>(guarded: &Mutex<T>) -> MutexGuard<'_, T> {
+    guarded.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Scenes that are kept in any case, of a byte or two per voxel each.
+const MIN_KNOWN: usize = 3;
+/// Memory for more of them, bytes. With more looks in use at once, some are computed again.
+const MAX_BYTES: usize = 128 << 20;
+/// Tables of a scene, bytes.
+const TABLE_BYTES: usize = 64 << 10;
+
+#[cfg(test)]
+mod tests;

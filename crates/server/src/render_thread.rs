@@ -1,4 +1,4 @@
-//! The thread that owns the renderer. It works in pieces, and takes the next one from whoever has used least time.
+//! The thread that owns the renderer of a device. It works in pieces, and takes the next one from whoever has used least time.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -15,10 +15,11 @@ use isinglass_core::volume::{Detail, Occlusion, PageView};
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, Work};
 use isinglass_render::{Piece, Renderer};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 
 use crate::company::Company;
 use crate::counters::Counters;
+use crate::dispatch::Site;
 use crate::frame_memory::{bytes_of, bytes_of_making, max_segments};
 use crate::generator::{Begun, FrameJob, GenerateError, Generated, Job, Rows, RowsJob};
 use crate::lights::Lights;
@@ -33,11 +34,20 @@ pub(crate) struct RenderThread {
     pub(crate) lights: Lights,
     /// Reads the pages, if the volume is read by pages.
     pub(crate) pager: Option<Pager>,
-    /// The newest scene with pages, which shares with the next one what stays.
-    pub(crate) paged: Option<Scene>,
     pub(crate) after_work: AfterWork,
     pub(crate) company: Company,
     pub(crate) counters: Counters,
+    /// Its device among others.
+    pub(crate) site: Site,
+}
+
+/// What a piece of work leaves.
+enum Left {
+    Nothing,
+    /// The rest of it.
+    Some(Waiting),
+    /// The device is lost, and others do its work.
+    Device,
 }
 
 /// Work that waits for a turn.
@@ -62,27 +72,32 @@ impl Waiting {
         }
     }
 
-    /// Answers that it was given up, as far as anybody listens.
-    fn give_up(self) {
-        if let Self::Frame(job) = self {
-            let _ = job.reply.send(Err(GenerateError::GivenUp));
+    /// Answers why it is not done, as far as anybody listens.
+    fn refuse(self, why: GenerateError) {
+        match self {
+            Self::Frame(job) => drop(job.reply.send(Err(why))),
+            Self::Rows(job) => drop(job.reply.send(Err(why))),
         }
     }
 }
 
 impl RenderThread {
-    /// Works until nobody can order anything.
-    pub(crate) fn work(&mut self, jobs: &mut mpsc::Receiver<Job>) {
+    /// Works until nobody can order anything, or other devices do its work. Returns who waits for the end, if anybody.
+    pub(crate) fn work(mut self, jobs: &mut mpsc::Receiver<Job>) -> Option<oneshot::Sender<()>> {
         let (mut turns, mut waiting) = (Turns::default(), Vec::<Waiting>::new());
         loop {
             let first = if waiting.is_empty() { jobs.blocking_recv() } else { jobs.try_recv().ok() };
             if first.is_none() && waiting.is_empty() {
-                return;
+                return None;
             }
             for job in first.into_iter().chain(std::iter::from_fn(|| jobs.try_recv().ok())) {
-                self.take(job, &mut turns, &mut waiting);
+                if let Some(stopped) = self.take(job, &mut turns, &mut waiting) {
+                    waiting.into_iter().for_each(|work| work.refuse(GenerateError::OtherVolume));
+                    return Some(stopped);
+                }
             }
-            waiting.extract_if(.., |work| !work.is_wanted()).for_each(Waiting::give_up);
+            let given_up = waiting.extract_if(.., |work| !work.is_wanted());
+            given_up.for_each(|work| work.refuse(GenerateError::GivenUp));
             let Some(place) = turns.choose(waiting.iter().map(Waiting::viewer)) else { continue };
             let work = waiting.remove(place);
             let viewer = work.viewer();
@@ -95,45 +110,64 @@ impl RenderThread {
             let micros = started.elapsed().as_micros() as u64;
             turns.charge(viewer, micros);
             self.counters.note_rendering(micros);
-            if let Some(work) = left {
-                waiting.insert(place, work);
+            self.site.note_rendering(micros);
+            match left {
+                Left::Nothing => {}
+                Left::Some(work) => waiting.insert(place, work),
+                Left::Device => {
+                    waiting.into_iter().for_each(|work| work.refuse(GenerateError::Moved));
+                    return None;
+                }
             }
         }
     }
 
-    fn take(&mut self, job: Job, turns: &mut Turns, waiting: &mut Vec<Waiting>) {
+    /// Takes a job. Returns who waits for the end of this thread, if the job says so.
+    fn take(
+        &mut self,
+        job: Job,
+        turns: &mut Turns,
+        waiting: &mut Vec<Waiting>,
+    ) -> Option<oneshot::Sender<()>> {
         let work = match job {
             Job::Frame(job) => Waiting::Frame(job),
             Job::Rows(job) => Waiting::Rows(job),
             Job::Replace { state, reply } => {
                 *self = *state;
                 let _ = reply.send(());
-                return;
+                return None;
             }
+            Job::Stop { reply } => return Some(reply),
         };
         if !waiting.iter().any(|other| other.viewer() == work.viewer()) {
             turns.enter(work.viewer());
         }
         waiting.push(work);
+        None
     }
 
-    /// Does a piece of work while `goes_on`, and returns what is left of it.
-    fn turn(&mut self, work: Waiting, goes_on: Wanted<'_>) -> Option<Waiting> {
-        match work {
+    /// Does a piece of work while `goes_on`.
+    fn turn(&mut self, work: Waiting, goes_on: Wanted<'_>) -> Left {
+        let is_lost = match work {
             Waiting::Frame(mut job) => {
                 let made = match self.attempt(|state| state.advance(&mut job, goes_on)) {
-                    Ok(None) => return Some(Waiting::Frame(job)),
+                    Ok(None) => return Left::Some(Waiting::Frame(job)),
                     Ok(Some(generated)) => Ok(generated),
                     Err(e) => Err(e),
                 };
+                // Who hears of it orders again, and must find another device.
+                let is_lost = made.as_ref().is_err_and(|e| self.is_over(e));
                 let _ = job.reply.send(made);
+                is_lost
             }
             Waiting::Rows(job) => {
                 let made = self.attempt(|state| state.rows(&job));
+                let is_lost = made.as_ref().is_err_and(|e| self.is_over(e));
                 let _ = job.reply.send(made);
+                is_lost
             }
-        }
-        None
+        };
+        if is_lost { Left::Device } else { Left::Nothing }
     }
 
     /// A panic in one frame must not end the service for everyone.
@@ -142,12 +176,21 @@ impl RenderThread {
         work: impl FnOnce(&mut Self) -> Result<T, GenerateError>,
     ) -> Result<T, GenerateError> {
         let attempt = catch_unwind(AssertUnwindSafe(|| work(self)));
-        let result = attempt.unwrap_or(Err(GenerateError::Panicked));
-        if result.as_ref().is_err_and(GenerateError::is_lost) {
-            tracing::error!("rendering on the CPU from now on: the renderer is lost");
-            self.renderer = Renderer::on_cpu(self.renderer.scene().clone());
+        attempt.unwrap_or(Err(GenerateError::Panicked))
+    }
+
+    /// Whether other devices do the work from now on, after an error. If the last renderer is lost, the CPU replaces it.
+    fn is_over(&mut self, error: &GenerateError) -> bool {
+        if !error.is_lost() {
+            return false;
         }
-        result
+        if self.site.lose() {
+            tracing::error!("other devices render from now on: {error}");
+            return true;
+        }
+        tracing::error!("rendering on the CPU from now on: {error}");
+        self.renderer = Renderer::on_cpu(self.renderer.scene().clone());
+        false
     }
 
     /// Makes a piece of a frame; the whole frame with the last one.
@@ -254,7 +297,8 @@ impl RenderThread {
             self.lights.known(look);
             return Ok(());
         }
-        match lit.cloned().or_else(|| self.lights.known(look)) {
+        let plain = || self.lights.known_without_shade(look, || self.renderer.scene().without_pages());
+        match lit.cloned().or_else(|| self.lights.known(look)).or_else(plain) {
             Some(lit) => self.renderer.set_scene(lit)?,
             None if is_set => return Ok(()),
             None => {
@@ -274,11 +318,7 @@ impl RenderThread {
             return Ok(());
         }
         let scene = match pages {
-            Some(pages) => {
-                let scene = scene.with_pages(pages.set.clone(), self.paged.as_ref());
-                self.paged = Some(scene.clone());
-                scene
-            }
+            Some(pages) => self.lights.with_pages(scene, &pages.set),
             None => scene.without_pages(),
         };
         let shown = self.renderer.set_scene(scene);

@@ -16,12 +16,12 @@ use isinglass_core::volume::Volume;
 use isinglass_core::wire::control::one_line;
 use isinglass_core::wire::{Choices, LoadState, Part, VolumeDescription};
 use isinglass_net::Greeting;
-use isinglass_render::{Backend, Renderer};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use crate::ahead::{Read, ReadAhead};
-use crate::generator::{Generator, renderer_of};
+use crate::dispatch::ShownScene;
+use crate::generator::Generator;
 use crate::lights::Lights;
 use crate::paging::Pager;
 
@@ -124,7 +124,6 @@ impl Present {
 /// Reads requested parts, the newest first, until nobody can request any. Meanwhile it reads ahead.
 pub(crate) struct SelectionReader {
     pub(crate) loader: Option<Arc<dyn Loader>>,
-    pub(crate) backend: Backend,
     pub(crate) generator: Generator,
     pub(crate) orders: mpsc::Receiver<Order>,
     pub(crate) present: watch::Sender<Arc<Present>>,
@@ -254,12 +253,6 @@ impl SelectionReader {
         if self.loader.is_none() {
             return Ended::Failed("this server shows this part of its file only".into());
         }
-        if self.backend.is_lost() {
-            let lost = self.backend.clone();
-            if let Ok(backend) = tokio::task::spawn_blocking(move || lost.reopened()).await {
-                self.backend = backend;
-            }
-        }
         match self.ahead.take(&part) {
             Some(read) => self.show(read).await,
             None => match self.read(part).await {
@@ -381,34 +374,16 @@ impl SelectionReader {
     /// Shows a part that was read.
     async fn show(&mut self, read: Read) -> Ended {
         let Read { scene, look, parts, pager } = read;
-        let (backend, of) = (self.backend.clone(), scene.clone());
-        let renderer = match tokio::task::spawn_blocking(move || renderer_of(&backend, of)).await {
-            Ok(Ok(renderer)) => renderer,
-            Ok(Err(problem)) => return Ended::Failed(problem.to_string()),
-            Err(e) => {
-                tracing::error!("no renderer: {e}");
-                return Ended::Failed("the server failed on showing this part".into());
-            }
-        };
         let before = self.present.borrow().clone();
         let number = SceneNumber(before.scene.0.wrapping_add(1));
         let present = Present::new(&scene, number, look.clone(), Some(parts.clone()), pager.clone());
         let (lights, bytes) = (present.lights.clone(), present.bytes);
-        let has_failed = matches!((&self.backend, &renderer), (Backend::Gpu(_), Renderer::Cpu(_)));
-        if !self.generator.replace(renderer, look.clone(), number, (lights.clone(), pager.clone())).await {
-            return Ended::Failed("the renderer has ended".into());
+        let shown = ShownScene { scene, look, number, lights, pager };
+        if let Err(problem) = self.generator.dispatch.show(shown).await {
+            return Ended::Failed(problem.to_string());
         }
         self.present.send_replace(Arc::new(present));
         self.ahead.follow(before.again(), &parts, bytes);
-        if has_failed {
-            // The previous part's memory is free now.
-            let backend = self.backend.clone();
-            let again = tokio::task::spawn_blocking(move || backend.renderer(scene)).await;
-            if let Ok(Ok(renderer)) = again {
-                tracing::info!("the GPU has room for this part now");
-                self.generator.replace(renderer, look, number, (lights, pager)).await;
-            }
-        }
         Ended::Done
     }
 }

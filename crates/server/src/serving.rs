@@ -138,6 +138,7 @@ impl Drop for Viewer {
         if let Some(pager) = &self.present.pager {
             pager.forget(self.session.viewer);
         }
+        self.common.generator.dispatch.forget(self.session.viewer);
     }
 }
 

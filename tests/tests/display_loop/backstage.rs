@@ -140,7 +140,7 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
                 let options = ServeOptions {
                     volume: Arc::new(loaded.volume),
                     look: look(),
-                    backend: Backend::Cpu,
+                    devices: Backend::Cpu.into(),
                     listen: SocketAddr::from(([127, 0, 0, 1], 0)),
                     plan: CodingPlan::default(),
                     max_viewers: 1,

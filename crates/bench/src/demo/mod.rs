@@ -231,7 +231,7 @@ impl Host {
         let serve = ServeOptions {
             volume: opened.scene.volume.clone(),
             look: options.look(opened),
-            backend: backend.clone(),
+            devices: backend.clone().into(),
             listen: ([127, 0, 0, 1], 0).into(),
             plan: options.plan,
             max_viewers: 1,

@@ -1,5 +1,7 @@
 //! Min/max of the stored numbers over bricks of the grid, and which bricks a transfer function leaves visible.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::grid::{Volume, Voxels};
@@ -72,7 +74,7 @@ impl Bricks {
     ) -> Occupancy {
         let visible = self.ranges.iter().map(|&(lo, hi)| is_visible(lo, hi));
         let peaks = self.ranges.iter().map_while(|&(lo, hi)| peak(lo, hi)).map(peak_code);
-        Occupancy { peaks: in_words(peaks), ..Occupancy::of(self.dims, visible) }
+        Occupancy { peaks: in_words(peaks).into(), ..Occupancy::of(self.dims, visible) }
     }
 }
 
@@ -84,11 +86,12 @@ impl Bricks {
 pub struct Occupancy {
     /// Bricks along x, y, z.
     pub dims: [u32; 3],
-    /// The distances, 0 for a visible brick and at most `DISTANCE_MAX`, four per word, lowest byte first.
-    pub words: Vec<u32>,
+    /// The distances, 0 for a visible brick and at most `DISTANCE_MAX`, four per word, lowest byte first. Clones share
+    /// them.
+    pub words: Arc<[u32]>,
     /// Upper bounds of the keys in each brick, in units of 1/[`PEAK_MAX`], four per word, lowest byte first. Empty
     /// unless a mode looks for the greatest key. A march with a greater key skips the brick.
-    pub peaks: Vec<u32>,
+    pub peaks: Arc<[u32]>,
 }
 
 impl Occupancy {
@@ -126,13 +129,13 @@ impl Occupancy {
                 distances[here] = least;
             }
         }
-        Self { dims, words: in_words(distances.into_iter()), peaks: Vec::new() }
+        Self { dims, words: in_words(distances.into_iter()).into(), peaks: Arc::default() }
     }
 
     /// All bricks visible: the negative control of empty-space skipping.
     pub fn full(dims: [u32; 3]) -> Self {
         let n = dims.iter().map(|&d| d as usize).product::<usize>();
-        Self { dims, words: vec![0; n.div_ceil(4)], peaks: Vec::new() }
+        Self { dims, words: vec![0; n.div_ceil(4)].into(), peaks: Arc::default() }
     }
 
     /// Distance from brick (x, y, z), which must exist, to the nearest visible one: 0 if it is visible itself, at

@@ -9,7 +9,7 @@ mod parse;
 mod view;
 mod volume;
 
-pub(crate) use backend::BackendArgs;
+pub(crate) use backend::{BackendArgs, GpusArgs};
 pub(crate) use coding::{CodecArgs, CodecChoice, PlanArgs};
 pub(crate) use link::LinkArgs;
 pub(crate) use look::{ListArgs, LookArgs, Switch};

@@ -1,4 +1,4 @@
-//! `bench`: tables of speed, latency and the pipeline.
+//! `bench`: tables of speed, latency, the pipeline and viewers.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -20,6 +20,7 @@ use serde::Serialize;
 
 use super::demo::parse_speed;
 use super::pipeline::{self, PipelineArgs};
+use super::viewers::{self, ViewersArgs};
 use crate::args::{
     BackendArgs, ForesightArgs, LinkArgs, ListArgs, LookArgs, PartArgs, PathArgs, PlanArgs, RawArgs, Switch,
     not_an_input, parse_duration, parse_fov, parse_k, parse_output, parse_size,
@@ -40,6 +41,8 @@ enum Table {
     Latency(LatencyArgs),
     /// The time of a frame from request to screen: server and viewer over a slowed-down link
     Pipeline(Box<PipelineArgs>),
+    /// What viewers of one server cost it: memory and time a frame
+    Viewers(ViewersArgs),
 }
 
 /// Arguments of all tables.
@@ -199,6 +202,7 @@ pub(crate) fn run(args: BenchArgs) -> Result<()> {
         Table::Speed(args) => run_speed(args),
         Table::Latency(args) => run_latency(args),
         Table::Pipeline(args) => pipeline::run(*args),
+        Table::Viewers(args) => viewers::run(args),
     }
 }
 

@@ -175,7 +175,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let options = ServeOptions {
         volume: opened.volume,
         look,
-        backend: args.backend.open()?,
+        devices: args.backend.open()?.into(),
         listen: ([127, 0, 0, 1], 0).into(),
         plan: args.plan.plan(None),
         max_viewers: 1,

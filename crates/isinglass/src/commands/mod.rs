@@ -15,6 +15,7 @@ mod render;
 mod reproject;
 mod serve;
 mod view;
+mod viewers;
 
 use anyhow::Result;
 use clap::Subcommand;

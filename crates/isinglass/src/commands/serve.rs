@@ -13,7 +13,7 @@ use isinglass_server::{Attendance, ServeOptions, Timing};
 use serde_json::json;
 use tokio::time::Instant;
 
-use crate::args::{BackendArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
+use crate::args::{BackendArgs, GpusArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
 use crate::detach;
 use crate::given::Given;
 use crate::identity_file;
@@ -44,6 +44,8 @@ pub(crate) struct ServeArgs {
     rate: Option<f64>,
     #[command(flatten)]
     backend: BackendArgs,
+    #[command(flatten)]
+    gpus: GpusArgs,
     #[command(flatten)]
     memory: MemoryArgs,
     /// Show only this part: viewers cannot choose another channel, time, level or series
@@ -91,13 +93,13 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
         seen.open_to_serve(&args.volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     // A viewer that follows the link opens the state at once.
     let state = seen.for_link(&look);
-    let backend = args.backend.open()?;
-    let description = backend.description();
+    let devices = args.gpus.open(&args.backend)?;
+    let description = devices.description();
     let bytes = opened.volume.bytes_in_memory();
     let options = ServeOptions {
         volume: opened.volume,
         look,
-        backend,
+        devices,
         listen: args.listen,
         plan: args.plan.plan(args.rate),
         max_viewers: args.viewers,

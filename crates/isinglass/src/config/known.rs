@@ -56,6 +56,7 @@ pub(super) const SETTINGS: &[Known] = &[
     server("coding", "codec", "codec"),
     server("coding", "quality", "quality"),
     server("render", "backend", "backend"),
+    serve("render", "gpus", "gpus"),
     server("render", "max_memory", "max_memory"),
     server("files", "foreign", "foreign_files"),
     server("look", "tf", "tf"),

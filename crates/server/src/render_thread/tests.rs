@@ -20,7 +20,7 @@ fn occluded(opacity: f32) -> Look {
 fn thread(scene: &Scene, look: &Look, lights: Lights) -> RenderThread {
     RenderThread {
         pager: None,
-        paged: None,
+        site: Site::default(),
         renderer: Renderer::on_cpu(scene.clone()),
         look: look.clone(),
         scene: SceneNumber::default(),
@@ -53,7 +53,7 @@ async fn a_frame_stays_as_large_as_asked_while_there_is_memory() {
             wish: Wish::default(),
             held: memory.hold(bytes_of_making(500, asked.num_pixels()), 1),
         };
-        let (reply, _answer) = tokio::sync::oneshot::channel();
+        let (reply, _answer) = oneshot::channel();
         let mut job = FrameJob { order, reply, begun: None, spent_micros: 0 };
         let frame = (0..1000).find_map(|_| thread.advance(&mut job, &|| true).unwrap()).unwrap().frame;
         (frame.header.camera.intrinsics, frame.num_segments())

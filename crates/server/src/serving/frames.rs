@@ -56,7 +56,7 @@ impl Viewer {
         let look = (**talk.look.look()).clone();
         let mut num_lists = bounded(request.intrinsics, look.k).num_pixels();
         let (viewer, moment) = (self.session.viewer, std::time::Instant::now());
-        let others = self.common.generator.company.has_others(viewer, moment);
+        let others = self.common.generator.dispatch.has_others(viewer, moment);
         let shared = self.sizes.lists_beside_others(moment).filter(|most| others && *most < num_lists);
         self.frames.bound(shared.unwrap_or(usize::MAX), shared.is_some());
         num_lists = self.frames.size_of(&request, look.k).num_pixels();
