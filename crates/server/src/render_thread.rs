@@ -143,8 +143,8 @@ impl RenderThread {
         let attempt = catch_unwind(AssertUnwindSafe(|| work(self)));
         let result = attempt.unwrap_or(Err(GenerateError::Panicked));
         if result.as_ref().is_err_and(GenerateError::is_lost) {
-            tracing::error!("rendering on the CPU from now on: the renderer is lost");
-            self.renderer = Renderer::on_cpu(self.renderer.scene().clone());
+            tracing::error!("the renderer is lost, and the CPU goes on");
+            self.renderer.fall_back();
         }
         result
     }
@@ -227,7 +227,7 @@ impl RenderThread {
         let Intrinsics { width, height, .. } = job.camera.intrinsics;
         let most = match self.renderer {
             Renderer::Gpu(_) => GPU_PIXELS,
-            Renderer::Cpu(_) => CPU_PIXELS,
+            Renderer::Cpu(_) | Renderer::Workers(_) => CPU_PIXELS,
         };
         let num_pixels = job.num_pixels.unwrap_or(most / 8).min(most);
         let end = job.first.saturating_add((num_pixels / width.max(1)).max(1)).min(height);
