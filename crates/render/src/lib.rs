@@ -1,4 +1,4 @@
-//! Full volume rendering, layered frames and novel views by one interface, on the GPU or on the CPU.
+//! Full volume rendering, layered frames and novel views by one interface, on the GPU, on the CPU or in processes.
 //!
 //! Callers use a [`Backend`] and need not know where it runs. This crate has no kernels: those of the GPU are in
 //! `isinglass-gpu`, their twins in `isinglass-core`.
