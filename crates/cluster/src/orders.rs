@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
 use isinglass_core::cancel::{ALWAYS, Wanted};
@@ -22,21 +22,31 @@ use crate::jobs::{Job, JobCamera, JobView, SceneOrder, from_words, words_from};
 
 /// Orders frames and pictures. Clones order from the same processes, which end with the last of them.
 #[derive(Clone)]
-pub struct Orders(Sender<Order>);
+pub struct Orders(SyncSender<Order>);
 
 /// The orders, for the thread that talks with the other processes.
 pub struct OrderQueue(Receiver<Order>);
 
 /// The scene of an order is the own part of process 0, without the shade of others.
 enum Order {
-    Frame { scene: Scene, header: FrameHeader, is_over: Arc<AtomicBool>, reply: Sender<Option<LayeredFrame>> },
-    Rows { scene: Scene, view: View, rows: Range<u32>, reply: Sender<Option<Picture>> },
+    Frame {
+        scene: Scene,
+        header: FrameHeader,
+        is_over: Arc<AtomicBool>,
+        reply: SyncSender<Option<LayeredFrame>>,
+    },
+    Rows {
+        scene: Scene,
+        view: View,
+        rows: Range<u32>,
+        reply: SyncSender<Option<Picture>>,
+    },
     End,
 }
 
 /// Orders, and where they arrive.
 pub fn orders() -> (Orders, OrderQueue) {
-    let (sender, receiver) = channel();
+    let (sender, receiver) = sync_channel(MOST_WAITING);
     (Orders(sender), OrderQueue(receiver))
 }
 
@@ -45,7 +55,7 @@ impl Orders {
     /// wanted, or the processes have ended.
     pub fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame> {
         let is_over = Arc::new(AtomicBool::new(false));
-        let (reply, answer) = channel();
+        let (reply, answer) = sync_channel(1);
         let order = Order::Frame { scene: scene.clone(), header, is_over: is_over.clone(), reply };
         self.0.send(order).ok()?;
         loop {
@@ -60,7 +70,7 @@ impl Orders {
 
     /// Some rows of the picture of a view of the whole volume; `None` if the processes have ended.
     pub fn render_rows(&self, scene: &Scene, view: &View, rows: Range<u32>) -> Option<Picture> {
-        let (reply, answer) = channel();
+        let (reply, answer) = sync_channel(1);
         self.0.send(Order::Rows { scene: scene.clone(), view: *view, rows, reply }).ok()?;
         answer.recv().ok()?
     }
@@ -220,3 +230,5 @@ impl Cluster<'_> {
 const MOST_SCENES: usize = 3;
 /// Whether a frame is still wanted is looked at so often.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
+/// Most orders that wait; who orders more waits too.
+const MOST_WAITING: usize = 16;

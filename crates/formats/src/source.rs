@@ -119,7 +119,7 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
 pub fn finest_numbers(
     source: &str,
     options: &OpenOptions,
-) -> Result<Option<Vec<(StoredRange, Arc<Histogram>)>>, FormatError> {
+) -> Result<Option<Vec<ChannelNumbers>>, FormatError> {
     let (path, file) = open_any(source, options)?;
     let (plan, chosen) = (file.plan(), file.plan().choose(&path, options)?);
     let (scale, offset) = plan.value_map;
@@ -128,8 +128,8 @@ pub fn finest_numbers(
     Ok(known.map(|known| known.into_iter().map(|k| (k.stored_range, k.histogram)).collect()))
 }
 
-/// Least and greatest stored number.
-pub type StoredRange = (f32, f32);
+/// Least and greatest stored number of a channel, and its histogram.
+pub type ChannelNumbers = ((f32, f32), Arc<Histogram>);
 
 /// Reads only the header of `source`. Returns its contents, what [`open`] would select, and the memory it needs.
 ///
