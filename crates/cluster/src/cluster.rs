@@ -1,16 +1,19 @@
 //! Processes that make frames and pictures together.
 
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
+use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::layering::parts::{
     AskedFrame, frame_from_words, pieces, steps, threshold, unite, words_from_rows,
 };
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
-use isinglass_core::kernels::{part_pictures, rows_of};
+use isinglass_core::kernels::{ROWS_IN_BLOCK, part_pictures, rows_of};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::{Split, VoxelBox};
+use rayon::prelude::*;
 
 use crate::exchange::{ClusterError, Exchange};
 
@@ -23,6 +26,8 @@ pub struct Cluster<'a> {
 /// Where the time of a frame went in this process.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Report {
+    /// Greatest error of a segment.
+    pub threshold: f32,
     /// Finding the threshold.
     pub counting: Duration,
     /// Marching the own part.
@@ -41,6 +46,10 @@ impl<'a> Cluster<'a> {
     /// The processes of an exchange, one for each box of `split`.
     pub fn new(exchange: &'a dyn Exchange, split: Split) -> Self {
         Self { exchange, split }
+    }
+
+    pub(crate) fn exchange(&self) -> &dyn Exchange {
+        self.exchange
     }
 
     /// The number of this process.
@@ -66,7 +75,12 @@ impl<'a> Cluster<'a> {
             _ => 0.0,
         };
         let above = words.iter().map(number).sum();
-        Ok(if areas.is_some() { scene.with_areas_of_bodies([above, f64::from_bits(all)]) } else { scene })
+        let scene =
+            if areas.is_some() { scene.with_areas_of_bodies([above, f64::from_bits(all)]) } else { scene };
+        // All scenes have one look, so all of them wait for light or none does.
+        let Some(cells) = scene.own_cells_of_light(self.own()) else { return Ok(scene) };
+        let cells = self.exchange.all_gather(&cells)?;
+        Ok(scene.lit_by_cells(self.split.boxes(), &cells)?)
     }
 
     /// A layered frame with `header.k` segments per list on average, in process 0.
@@ -78,24 +92,51 @@ impl<'a> Cluster<'a> {
         scene: &Scene,
         header: FrameHeader,
     ) -> Result<(Option<LayeredFrame>, Report), ClusterError> {
+        self.generate_while(scene, header, None, ALWAYS)
+    }
+
+    /// The same with a threshold that is known, and only while the frame is wanted by process 0. It says so after each
+    /// slice of rows, and all stop at the same one.
+    ///
+    /// # Errors
+    /// If the processes cannot talk, or one sends something else than expected.
+    pub fn generate_while(
+        &self,
+        scene: &Scene,
+        header: FrameHeader,
+        known_threshold: Option<f32>,
+        wanted: Wanted<'_>,
+    ) -> Result<(Option<LayeredFrame>, Report), ClusterError> {
         let (exchange, split, rank) = (self.exchange, &self.split, self.rank());
+        let (size, height) = (exchange.size(), header.camera.intrinsics.height);
         let mut report = Report::default();
         let mut watch = Stopwatch::start();
         let mut frame = AskedFrame::new(scene, header, 0.0);
-        let found = exchange.gather(steps(scene, split, rank, &frame))?;
-        let found = found.map(|lists| threshold(scene, split, &frame, &lists)).transpose()?;
-        let told = exchange.broadcast(vec![found.unwrap_or(0.0).to_bits()])?;
-        frame.threshold = told.first().map_or(0.0, |bits| f32::from_bits(*bits));
-        report.counting = watch.lap();
-        let (size, height) = (exchange.size(), header.camera.intrinsics.height);
-        let to = |owner| pieces(scene, split, rank, &frame, &rows_of(owner, size, height));
-        let words: Vec<Vec<u32>> = (0..size).map(to).collect();
+        frame.threshold = match known_threshold {
+            Some(threshold) => threshold,
+            None => self.counted_threshold(scene, &frame)?,
+        };
+        (report.threshold, report.counting) = (frame.threshold, watch.lap());
+        let rows: Vec<Vec<u32>> = (0..size).map(|owner| rows_of(owner, size, height)).collect();
+        let mut words = vec![Vec::new(); size];
+        for slice in slices(height, size) {
+            let of_slice = |rows: &Vec<u32>| {
+                let [from, to] = [slice.start, slice.end].map(|row| rows.partition_point(|r| *r < row));
+                pieces(scene, split, rank, &frame, &rows[from..to])
+            };
+            let found: Vec<Vec<u32>> = rows.par_iter().map(of_slice).collect();
+            words.iter_mut().zip(found).for_each(|(words, mut found)| words.append(&mut found));
+            let is_wanted = exchange.broadcast(vec![u32::from(wanted())])?;
+            if is_wanted != [1] {
+                return Ok((None, report));
+            }
+        }
         let others = words.iter().enumerate().filter(|(owner, _)| *owner != rank);
         report.bytes_sent = others.map(|(_, words)| words.len() as u64 * 4).sum();
         report.march = watch.lap();
         let lists = exchange.all_to_all(words)?;
         report.exchange = watch.lap();
-        let rows = unite(scene, split, &frame, &rows_of(rank, size, height), &lists)?;
+        let rows = unite(scene, split, &frame, &rows[rank], &lists)?;
         report.merge = watch.lap();
         let all = exchange.gather(words_from_rows(&rows))?;
         let made = all.map(|words| frame_from_words(&frame, &words)).transpose()?;
@@ -103,18 +144,40 @@ impl<'a> Cluster<'a> {
         Ok((made, report))
     }
 
-    /// The picture of a view by full volume rendering, premultiplied linear, in process 0.
+    /// The threshold of a frame, by the steps of its counted rays.
+    fn counted_threshold(&self, scene: &Scene, frame: &AskedFrame) -> Result<f32, ClusterError> {
+        let found = self.exchange.gather(steps(scene, &self.split, self.rank(), frame))?;
+        let found = found.map(|lists| threshold(scene, &self.split, frame, &lists)).transpose()?;
+        let told = self.exchange.broadcast(vec![found.unwrap_or(0.0).to_bits()])?;
+        Ok(told.first().map_or(0.0, |bits| f32::from_bits(*bits)))
+    }
+
+    /// Some rows of the picture of a view by full volume rendering, premultiplied linear, in process 0.
     ///
     /// # Errors
     /// If the processes cannot talk, or one sends something else than expected.
-    pub fn picture(&self, scene: &Scene, view: &View) -> Result<Option<Picture>, ClusterError> {
-        let words = part_pictures::seen(scene, &self.split, self.rank(), view);
+    pub fn picture(
+        &self,
+        scene: &Scene,
+        view: &View,
+        rows: Range<u32>,
+    ) -> Result<Option<Picture>, ClusterError> {
+        let words = part_pictures::seen(scene, &self.split, self.rank(), view, rows.clone());
         let lists = self.exchange.gather(words)?;
-        Ok(lists
-            .map(|lists| part_pictures::picture_of_parts(scene, &self.split, view, &lists))
-            .transpose()?)
+        let unite = |lists: Vec<_>| part_pictures::picture_of_parts(scene, &self.split, view, rows, &lists);
+        Ok(lists.map(unite).transpose()?)
     }
 }
+
+/// The rows of a picture in slices, of which each process owns some.
+fn slices(height: u32, size: usize) -> impl Iterator<Item = Range<u32>> {
+    let turn = u32::try_from(size).unwrap_or(u32::MAX).saturating_mul(ROWS_IN_BLOCK).max(1);
+    let rows = LEAST_ROWS.next_multiple_of(turn);
+    (0..height.div_ceil(rows)).map(move |i| i * rows..((i + 1) * rows).min(height))
+}
+
+/// Fewest rows of a slice.
+const LEAST_ROWS: u32 = 32;
 
 /// Time from one part of the work to the next.
 struct Stopwatch(Instant);

@@ -46,6 +46,14 @@ pub trait Exchange {
         Ok(self.all_to_all(all)?.swap_remove(0))
     }
 
+    /// The same for words that may be long in coming: the others sleep meanwhile, and take no core.
+    ///
+    /// # Errors
+    /// See [`Self::all_to_all`].
+    fn broadcast_some_day(&self, words: Vec<u32>) -> Result<Vec<u32>, ExchangeError> {
+        self.broadcast(words)
+    }
+
     /// Adds the numbers of all processes, place by place.
     ///
     /// # Errors
@@ -101,6 +109,9 @@ pub enum ClusterError {
     /// One has sent something else than expected.
     #[error(transparent)]
     Parts(#[from] isinglass_core::kernels::PartsError),
+    /// What process 0 asks for cannot be read.
+    #[error("process 0 asks for something that cannot be read: {0}")]
+    Job(String),
 }
 
 /// The result of this process, if no process has an error.

@@ -8,14 +8,17 @@
 mod cluster;
 mod exchange;
 mod in_process;
+mod jobs;
 #[cfg(feature = "mpi")]
 mod mpi_world;
+mod orders;
 mod whole;
 
 pub use cluster::{Cluster, Report};
 pub use exchange::{ClusterError, Exchange, ExchangeError, agree, same_everywhere};
 pub use in_process::InProcess;
-pub use whole::in_whole;
+pub use orders::{OrderQueue, Orders, orders};
+pub use whole::{FinestNumbers, in_whole};
 
 /// Joins the processes that `mpirun` started.
 ///

@@ -1,10 +1,12 @@
 //! The processes that `mpirun` started.
 
+use std::time::Duration;
+
 use mpi::Threading;
 use mpi::datatype::{Partition, PartitionMut};
 use mpi::environment::Universe;
 use mpi::topology::{Communicator, SimpleCommunicator};
-use mpi::traits::CommunicatorCollectives;
+use mpi::traits::{CommunicatorCollectives, Root};
 
 use crate::exchange::{Exchange, ExchangeError};
 
@@ -64,8 +66,40 @@ impl Exchange for Mpi {
         Ok(come.into_iter().map(take).collect())
     }
 
+    fn broadcast(&self, words: Vec<u32>) -> Result<Vec<u32>, ExchangeError> {
+        let mut num = [words.len() as u64];
+        self.world.process_at_rank(0).broadcast_into(&mut num[..]);
+        self.broadcast_words(words, num[0])
+    }
+
+    fn broadcast_some_day(&self, words: Vec<u32>) -> Result<Vec<u32>, ExchangeError> {
+        let mut num = [words.len() as u64];
+        mpi::request::scope(|scope| {
+            let root = self.world.process_at_rank(0);
+            let mut request = root.immediate_broadcast_into(scope, &mut num[..]);
+            while let Err(pending) = request.test() {
+                // A blocking call would keep a core busy.
+                std::thread::sleep(NAP);
+                request = pending;
+            }
+        });
+        self.broadcast_words(words, num[0])
+    }
+
     fn abort(&self) -> ! {
         self.world.abort(1)
+    }
+}
+
+impl Mpi {
+    /// Broadcasts so many words, a number that all know.
+    fn broadcast_words(&self, mut words: Vec<u32>, num: u64) -> Result<Vec<u32>, ExchangeError> {
+        if num > i32::MAX as u64 {
+            return Err(ExchangeError::TooMuch { bytes: num * 4, max: i32::MAX as u64 * 4 });
+        }
+        words.resize(num as usize, 0);
+        self.world.process_at_rank(0).broadcast_into(&mut words[..]);
+        Ok(words)
     }
 }
 
@@ -80,3 +114,6 @@ fn layout(counts: &[u64]) -> (Vec<i32>, Vec<i32>) {
     let places = places.collect();
     (counts.iter().map(|&num| num as i32).collect(), places)
 }
+
+/// An idle process looks for words so often.
+const NAP: Duration = Duration::from_millis(1);

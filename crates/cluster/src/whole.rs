@@ -4,10 +4,23 @@ use std::sync::Arc;
 
 use isinglass_core::volume::{Finest, Histogram, Volume, VoxelBox, Whole, sample_places};
 
+use serde::{Deserialize, Serialize};
+
 use crate::exchange::{ClusterError, Exchange, agree, same_everywhere};
+use crate::jobs::{from_words, words_from};
+
+/// What a channel of a level takes from the finest level of its pyramid.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FinestNumbers {
+    /// Least and greatest stored number.
+    pub stored_range: (f32, f32),
+    /// Its histogram.
+    pub histogram: Histogram,
+}
 
 /// The voxels of a box as a part of a whole of `dims` voxels. `held` is the box of `volume`, and `own` the one inside
-/// that no other process has.
+/// that no other process has. The numbers are those that process 0 knows of the finest level, by channel; without them
+/// a level rests on its own.
 ///
 /// # Errors
 /// If the processes have parts of different files.
@@ -17,12 +30,18 @@ pub fn in_whole(
     own: &VoxelBox,
     held: &VoxelBox,
     dims: [u32; 3],
+    finest: Option<Vec<FinestNumbers>>,
 ) -> Result<Volume, ClusterError> {
     let others = volume.others().to_vec();
+    let known = words_from(&finest.filter(|known| known.len() == 1 + others.len()))?;
+    let known: Option<Vec<FinestNumbers>> = from_words(&exchange.broadcast(known)?)?;
+    let mut known = known.unwrap_or_default().into_iter();
     let first = agree(exchange, volume.with_others(Vec::new()).map_err(|e| e.to_string()))?;
-    let first = channel_in_whole(exchange, first, own, held, dims)?;
-    let in_whole = |other| channel_in_whole(exchange, Arc::unwrap_or_clone(other), own, held, dims);
-    let others = others.into_iter().map(|other| in_whole(other).map(Arc::new));
+    let first = channel_in_whole(exchange, first, own, held, dims, known.next())?;
+    let others = others.into_iter().map(|other| {
+        let other = Arc::unwrap_or_clone(other);
+        channel_in_whole(exchange, other, own, held, dims, known.next()).map(Arc::new)
+    });
     let joined = first.with_others(others.collect::<Result<_, _>>()?);
     agree(exchange, joined.map_err(|e| e.to_string()))
 }
@@ -33,6 +52,7 @@ fn channel_in_whole(
     own: &VoxelBox,
     held: &VoxelBox,
     dims: [u32; 3],
+    known: Option<FinestNumbers>,
 ) -> Result<Volume, ClusterError> {
     let (spacing, finest) = (volume.spacing(), volume.finest().map(|finest| finest.spacing));
     let facts = format!("{:?} {spacing} {finest:?} {:?}", volume.value_map(), volume.info.dtype);
@@ -49,7 +69,7 @@ fn channel_in_whole(
     let (lo, hi) = volume.stored_range();
     let ranges = exchange.all_gather(&[lo.to_bits(), hi.to_bits(), u32::from(volume.info.are_labels)])?;
     let number = |words: &[u32], i: usize| words.get(i).map_or(0.0, |word| f32::from_bits(*word));
-    let stored_range =
+    let mut stored_range =
         ranges.iter().fold((lo, hi), |(lo, hi), words| (lo.min(number(words, 0)), hi.max(number(words, 1))));
     // Few voxels may look like labels where all of them do not.
     volume.info.are_labels = ranges.iter().all(|words| words.get(2) == Some(&1));
@@ -57,17 +77,15 @@ fn channel_in_whole(
         first: [0, 1, 2].map(|axis| own.first[axis] - held.first[axis]),
         end: [0, 1, 2].map(|axis| own.end[axis] - held.first[axis]),
     };
-    let mut failed = None;
-    let num_voxels = VoxelBox::of(dims).count();
-    let histogram = Histogram::by(&volume, stored_range, num_voxels, &mut |range, with_gaps| {
-        let counts = Histogram::counts_in(&volume, &inner, range, with_gaps);
-        exchange.sum(&counts).unwrap_or_else(|e| {
-            failed = Some(e);
-            counts
-        })
-    });
-    if let Some(failed) = failed {
-        return Err(failed.into());
+    // Only a level takes numbers from the finest one.
+    let known = known.filter(|_| volume.finest().is_some());
+    let histogram = match &known {
+        Some(known) => known.histogram.clone(),
+        None => histogram_of_parts(exchange, &volume, &inner, stored_range, dims)?,
+    };
+    if let Some(known) = known {
+        let (lo, hi) = known.stored_range;
+        stored_range = (stored_range.0.min(lo), stored_range.1.max(hi));
     }
     let samples = samples(exchange, &volume, own, held, dims)?;
     if let Some(finest) = finest_of_whole(exchange, &volume, held, dims)? {
@@ -77,8 +95,28 @@ fn channel_in_whole(
     agree(exchange, volume.in_whole(Arc::new(whole)).map_err(|e| e.to_string()))
 }
 
+/// The histogram of the whole, from the voxels of each part's box.
+fn histogram_of_parts(
+    exchange: &dyn Exchange,
+    volume: &Volume,
+    inner: &VoxelBox,
+    stored_range: (f32, f32),
+    dims: [u32; 3],
+) -> Result<Histogram, ClusterError> {
+    let mut failed = None;
+    let num_voxels = VoxelBox::of(dims).count();
+    let histogram = Histogram::by(volume, stored_range, num_voxels, &mut |range, with_gaps| {
+        let counts = Histogram::counts_in(volume, inner, range, with_gaps);
+        exchange.sum(&counts).unwrap_or_else(|e| {
+            failed = Some(e);
+            counts
+        })
+    });
+    failed.map_or(Ok(histogram), |failed| Err(failed.into()))
+}
+
 /// How the whole level of a pyramid lies in the finest one, given how a part of it does. The first part knows where the
-/// level begins, and the last one where it ends. The looks of all parts rest on the numbers of the level itself.
+/// level begins, and the last one where it ends. What a part says of numbers is of its own part of the finest level.
 fn finest_of_whole(
     exchange: &dyn Exchange,
     volume: &Volume,

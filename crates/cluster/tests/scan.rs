@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use glam::Vec3;
-use isinglass_cluster::{Cluster, ClusterError, Exchange, InProcess, agree, in_whole};
+use isinglass_cluster::{Cluster, ClusterError, Exchange, FinestNumbers, InProcess, agree, in_whole};
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::lens::View;
@@ -57,6 +57,12 @@ fn finest_of_part(finest: &Finest, level: &Volume, held: &VoxelBox) -> Finest {
     part
 }
 
+/// The numbers of a finest level that are known.
+fn numbers_of(finest: &Finest) -> Option<Vec<FinestNumbers>> {
+    let (stored_range, histogram) = (finest.stored_range?, (**finest.histogram.as_ref()?).clone());
+    Some(vec![FinestNumbers { stored_range, histogram }])
+}
+
 /// What each of several threads finds that hold a part of `volume` with so many voxels around it.
 fn together<R: Send>(
     volume: &Volume,
@@ -77,7 +83,8 @@ fn together<R: Send>(
             Some(finest) => alone.with_finest(finest_of_part(finest, volume, &held)),
             None => alone,
         };
-        let part = in_whole(&exchange, alone, &own, &held, volume.dims()).unwrap();
+        let known = volume.finest().filter(|_| rank == 0).and_then(|finest| numbers_of(finest));
+        let part = in_whole(&exchange, alone, &own, &held, volume.dims(), known).unwrap();
         let cluster = Cluster::new(&exchange, split.clone());
         let scene = cluster.ready(Scene::new(Arc::new(part), look.0, look.1)).unwrap();
         work(&cluster, &scene)
@@ -149,7 +156,7 @@ fn a_scan_in_parts_is_the_scan_and_lacks_voxels_without_neighbours() {
             }
             let view = View::from(&camera_at(10.0));
             let pictures = together(&volume, &split, GHOSTS, look, |cluster, scene| {
-                cluster.picture(scene, &view).unwrap()
+                cluster.picture(scene, &view, 0..128).unwrap()
             });
             let picture = pictures.into_iter().flatten().next().unwrap();
             let off = greatest_difference(&picture, &truth[1]);
@@ -186,8 +193,14 @@ fn parts_know_the_numbers_of_the_whole() {
     let (dims, spacing) = ([79, 40, 99], cube.spacing() / Vec3::new(2.0, 1.0, 2.5));
     let finest =
         Finest { dims, spacing, first: Vec3::new(0.5, 0.0, 0.75), stored_range: None, histogram: None };
-    let level = cube.clone().with_finest(finest);
-    for volume in [cube, wide.unwrap(), level] {
+    let level = cube.clone().with_finest(finest.clone());
+    // Another histogram than that of the level itself, and a wider range.
+    let other = Builtin::Shells.volume(40);
+    let histogram = Arc::new(Histogram::of(&other));
+    assert_ne!(*histogram, Histogram::of(&cube), "the control: the level's own");
+    let known = Finest { stored_range: Some((0.0, 255.0)), histogram: Some(histogram), ..finest };
+    let pinned = cube.clone().with_finest(known);
+    for volume in [cube, wide.unwrap(), level, pinned] {
         let whole = Histogram::of(&volume);
         let transfer = default_transfer("cloud", &volume, &whole);
         let look = (&transfer, MarchSettings { mode: Mode::Average, ..MarchSettings::default() });
@@ -233,7 +246,7 @@ fn the_error_of_one_is_told_to_all_and_another_file_is_found() {
             let rank = exchange.rank();
             let (own, held) = (split.boxes()[rank], split.held(rank, GHOSTS));
             let part = volume.part(&if rank == 0 { held } else { own }).unwrap();
-            in_whole(&exchange, part, &own, &held, [32; 3]).unwrap_err()
+            in_whole(&exchange, part, &own, &held, [32; 3], None).unwrap_err()
         };
         let threads: Vec<_> =
             InProcess::all(2).into_iter().map(|exchange| scope.spawn(move || work(exchange))).collect();

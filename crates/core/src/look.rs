@@ -140,6 +140,13 @@ impl Scene {
         Self::with_channels(volume, &look.transfer, look.channels.clone(), look.march_settings())
     }
 
+    /// The look that the scene is prepared under, with lists of this mean length.
+    pub fn look(&self, k: u8) -> Look {
+        let MarchSettings { shading, lighting, clip, mode, isos, .. } = self.settings;
+        let (transfer, channels) = ((*self.transfer).clone(), self.looks.clone());
+        Look { transfer, shaded: shading.is_some(), lighting, k, clip, mode, isos, channels }
+    }
+
     /// The same volume under another look. Its shade has this detail; a draft takes its ambient occlusion from `near`,
     /// or has none.
     pub fn under(&self, look: &Look, detail: Detail, near: Option<&Occlusion>) -> Self {

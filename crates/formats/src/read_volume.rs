@@ -71,7 +71,9 @@ fn pinned(
     options: &OpenOptions,
 ) -> Result<(Vec<Volume>, Option<String>), FormatError> {
     let Some(in_finest) = &chosen.in_finest else { return Ok((volumes, None)) };
-    let known = finest_numbers(&volumes, file, chosen, path, options)?;
+    let maps: Vec<(f32, f32)> = volumes.iter().map(Volume::value_map).collect();
+    let held = volumes.iter().map(Volume::bytes_in_memory).sum();
+    let known = finest_numbers((&maps, held), file, chosen, path, options)?;
     let word = known.is_none().then(|| UNKNOWN_NUMBERS.to_owned());
     let known = known.unwrap_or_default();
     let volumes = volumes.into_iter().enumerate();
@@ -79,9 +81,10 @@ fn pinned(
     Ok((pinned.collect(), word))
 }
 
-/// The numbers of each channel in the same part of the finest level, if that is small enough to be read for them.
-fn finest_numbers(
-    volumes: &[Volume],
+/// The numbers of each channel in the same part of the finest level, if that is small enough to be read for them beside
+/// the `held` bytes. Values mean the same in both, by the `maps` of the channels.
+pub(crate) fn finest_numbers(
+    (maps, held): (&[(f32, f32)], u64),
     file: &dyn VolumeFile,
     chosen: &Chosen,
     path: &Path,
@@ -89,11 +92,10 @@ fn finest_numbers(
 ) -> Result<Option<Vec<KnownNumbers>>, FormatError> {
     let Some(in_finest) = &chosen.in_finest else { return Ok(None) };
     let kept = IndexPlace::of(file, path, in_finest.region, options).and_then(|place| place.read());
-    if let Some(index) = kept.filter(|index| index.num_channels() == volumes.len()) {
+    if let Some(index) = kept.filter(|index| index.num_channels() == maps.len()) {
         return Ok(Some(index.known()));
     }
     let Some(finest) = file.finest_level() else { return Ok(None) };
-    let held: u64 = volumes.iter().map(Volume::bytes_in_memory).sum();
     let max_bytes = options.max_bytes.saturating_sub(held).min(MOST_READ_FOR_NUMBERS);
     let channel = (chosen.channels.len() == 1).then_some(chosen.channels.start);
     let selection = Selection {
@@ -107,9 +109,7 @@ fn finest_numbers(
     let own = OpenOptions { selection, max_bytes, reading: &reading, progress: None, ..*options };
     match read_volume(finest, path, &own) {
         Ok(finest) => {
-            let is_alike = |(a, b): (&Volume, &Volume)| a.value_map() == b.value_map();
-            let is_alike =
-                finest.channels().count() == volumes.len() && finest.channels().zip(volumes).all(is_alike);
+            let is_alike = finest.channels().map(Volume::value_map).eq(maps.iter().copied());
             Ok(is_alike.then(|| finest.channels().map(KnownNumbers::of).collect()))
         }
         Err(e @ FormatError::Cancelled { .. }) => Err(e),

@@ -3,10 +3,11 @@
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::Vec3;
-use isinglass_core::volume::Volume;
+use isinglass_core::volume::{Histogram, Volume};
 
 use crate::builtin::BuiltinFile;
 use crate::error::{FormatError, io_error, shown};
@@ -16,7 +17,7 @@ use crate::overlay::{bytes_of_labels, with_labels};
 use crate::paged::{open_paged, page_count};
 use crate::plan::VolumeFile;
 use crate::raw::RawShape;
-use crate::read_volume::read_volume;
+use crate::read_volume::{self, read_volume};
 use crate::reading::Reading;
 use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
@@ -109,6 +110,26 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
         None => Ok(volume),
     }
 }
+
+/// Least and greatest stored number and histogram of each channel, in the selected part of the finest level, which
+/// [`open`] uses for a coarser one. `None` for the finest level, and if it is too large to be read for them.
+///
+/// # Errors
+/// As [`open`].
+pub fn finest_numbers(
+    source: &str,
+    options: &OpenOptions,
+) -> Result<Option<Vec<ChannelNumbers>>, FormatError> {
+    let (path, file) = open_any(source, options)?;
+    let (plan, chosen) = (file.plan(), file.plan().choose(&path, options)?);
+    let (scale, offset) = plan.value_map;
+    let maps = vec![(scale as f32, offset as f32); chosen.channels.len()];
+    let known = read_volume::finest_numbers((&maps, 0), &*file, &chosen, &path, options)?;
+    Ok(known.map(|known| known.into_iter().map(|k| (k.stored_range, k.histogram)).collect()))
+}
+
+/// Least and greatest stored number of a channel, and its histogram.
+pub type ChannelNumbers = ((f32, f32), Arc<Histogram>);
 
 /// Reads only the header of `source`. Returns its contents, what [`open`] would select, and the memory it needs.
 ///

@@ -3,21 +3,27 @@
 //! Every process runs the same command with the same arguments. Process 0 writes the results. An error of one is told to
 //! all, and process 0 prints it in one line.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use clap::Args;
 use isinglass_bench::progress::note;
-use isinglass_cluster::{Cluster, ClusterError, Exchange, Report, agree, in_whole, same_everywhere};
+use isinglass_cluster::{
+    Cluster, ClusterError, Exchange, FinestNumbers, Orders, Report, agree, in_whole, orders, same_everywhere,
+};
 use isinglass_core::camera::Camera;
+use isinglass_core::cancel::Wanted;
 use isinglass_core::kernels::lens::{View, mean_picture};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::{GHOSTS, Lighting, Split, Volume, VoxelBox};
-use isinglass_formats::{OpenOptions, OpenedScene, Outline, Region, Selection, open, outline, scene_of};
-use isinglass_render::{Backend, Renderer};
+use isinglass_core::volume::{GHOSTS, Histogram, Lighting, Split, Volume, VoxelBox};
+use isinglass_formats::{
+    OpenOptions, OpenedScene, Outline, Region, Selection, finest_numbers, open, outline, scene_of,
+};
+use isinglass_render::{Backend, Renderer, Workers};
 use serde_json::{Value, json};
 
 use crate::args::{BackendArgs, ListArgs, LookArgs, VolumeArgs};
@@ -93,7 +99,7 @@ impl Together {
         self.exchange.abort();
     }
 
-    /// Opens the own part of a volume with its look.
+    /// Opens the own part of a volume with its look; its light needs the others.
     fn open(
         &self,
         seen: &Seen,
@@ -102,19 +108,48 @@ impl Together {
         lighting: Lighting,
         lists: &ListArgs,
     ) -> Result<(Opened, Look)> {
-        check_light(lighting)?;
         let volume = seen.volume(volume)?;
         let (source, settings) = (volume.source()?, look.march_settings(lighting)?);
         let (part, split) = self.read(&volume, memory)?;
         let opened = scene_of(Arc::new(part), source, look.tf.as_deref(), settings);
         let opened = agree(&*self.exchange, opened.map_err(|e| e.to_string()))?;
         let (OpenedScene { scene, transfer, .. }, look) = seen.under_look(opened, look, lighting, lists)?;
-        check_light(look.lighting)?;
         if self.is_root() {
             seen.note_oddities(scene.whole(), &look);
         }
-        let scene = Cluster::new(&*self.exchange, split.clone()).ready(scene)?;
         Ok((Opened { scene, split: Some(split), transfer: transfer.name }, look))
+    }
+
+    /// Serves a volume: process 0 by `serve`, on a thread of its own, with the frames that all processes make. This
+    /// thread is the one that talks with them.
+    pub(crate) fn serve(
+        &self,
+        seen: &Seen,
+        volume: (&VolumeArgs, &MemoryArgs),
+        look: &LookArgs,
+        (lighting, lists): (Lighting, &ListArgs),
+        serve: impl FnOnce(Arc<Volume>, Look, Backend) -> Result<()> + Send,
+    ) -> Result<()> {
+        let (Opened { scene, split, .. }, look) = self.open(seen, volume, look, lighting, lists)?;
+        let split = split.ok_or_else(|| anyhow!("the volume has no parts"))?;
+        let cluster = Cluster::new(&*self.exchange, split);
+        if !self.is_root() {
+            return Ok(cluster.help(&scene)?);
+        }
+        let (orders, queue) = orders();
+        let workers = SeveralProcesses { orders: orders.clone(), num: self.exchange.size() };
+        let volume = scene.whole().clone();
+        drop(scene);
+        std::thread::scope(|scope| {
+            let serving = scope.spawn(move || {
+                let _end = EndOnDrop(orders);
+                serve(volume, look, Backend::Workers(Arc::new(workers)))
+            });
+            if let Err(lost) = cluster.work_on(queue) {
+                self.give_up(&lost);
+            }
+            serving.join().unwrap_or_else(|_| Err(anyhow!("the server has failed")))
+        })
     }
 
     /// Reads the own part of a volume, which must fit into memory: pages are for one process alone.
@@ -136,11 +171,22 @@ impl Together {
         let &Selection { time, level, series, .. } = shown;
         let chosen = options.selection;
         let region = Some(region_of(chosen.region, &held));
-        let selection = Selection { time, level, series, region, ..chosen };
+        let whole = Selection { time, level, series, ..chosen };
+        let selection = Selection { region, ..whole };
         let part = open(&source, &OpenOptions { selection, ..options }).map_err(|e| e.to_string());
         let part = part.and_then(|part| cut(part, &held, *dims));
         let part = agree(exchange, part)?;
-        let part = in_whole(exchange, part, &split.boxes()[rank], &held, *dims)?;
+        let known = if rank == 0 && part.finest().is_some() {
+            finest_numbers(&source, &OpenOptions { selection: whole, ..options }).unwrap_or_default()
+        } else {
+            None
+        };
+        let numbers = |(stored_range, histogram): (_, Arc<Histogram>)| FinestNumbers {
+            stored_range,
+            histogram: Arc::unwrap_or_clone(histogram),
+        };
+        let known = known.map(|known| known.into_iter().map(numbers).collect());
+        let part = in_whole(exchange, part, &split.boxes()[rank], &held, *dims, known)?;
         Ok((part, split))
     }
 
@@ -163,6 +209,40 @@ impl Together {
                 })
             })
             .collect())
+    }
+}
+
+/// The processes as a server sees them.
+struct SeveralProcesses {
+    orders: Orders,
+    num: usize,
+}
+
+impl Workers for SeveralProcesses {
+    fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame> {
+        self.orders.generate(scene, header, wanted)
+    }
+
+    fn render_rows(&self, scene: &Scene, view: &View, rows: Range<u32>) -> Option<Picture> {
+        self.orders.render_rows(scene, view, rows)
+    }
+
+    fn description(&self) -> String {
+        description(self.num)
+    }
+}
+
+/// Where the kernels of so many processes run.
+fn description(num: usize) -> String {
+    format!("cpu of {num} processes")
+}
+
+/// Ends the work of all processes when the server has ended, even by a panic.
+struct EndOnDrop(Orders);
+
+impl Drop for EndOnDrop {
+    fn drop(&mut self) {
+        self.0.end();
     }
 }
 
@@ -202,7 +282,8 @@ impl<'a> Drawer<'a> {
         Ok(match (together, opened.split) {
             (Some(together), Some(split)) => {
                 let cluster = Cluster::new(&*together.exchange, split);
-                Self::Together(together, Box::new(opened.scene), cluster)
+                let scene = cluster.ready(opened.scene)?;
+                Self::Together(together, Box::new(scene), cluster)
             }
             _ => {
                 let pages = Pages::of(&opened.scene)?;
@@ -216,7 +297,7 @@ impl<'a> Drawer<'a> {
     pub(crate) fn description(&self) -> String {
         match self {
             Self::Alone(_, backend, _) => backend.description(),
-            Self::Together(together, ..) => format!("cpu of {} processes", together.exchange.size()),
+            Self::Together(together, ..) => description(together.exchange.size()),
         }
     }
 
@@ -256,20 +337,13 @@ impl<'a> Drawer<'a> {
             Self::Together(_, scene, cluster) => {
                 let nothing = |view: &View| Picture::new(view.basis.width as u32, view.basis.height as u32);
                 let pictures = views.iter().map(|view| {
-                    cluster.picture(scene, view).map(|made| made.unwrap_or_else(|| nothing(view)))
+                    let made = cluster.picture(scene, view, 0..view.basis.height as u32);
+                    made.map(|made| made.unwrap_or_else(|| nothing(view)))
                 });
                 mean_picture(pictures)?.ok_or_else(|| anyhow!("there is no view"))
             }
         }
     }
-}
-
-/// Refuses what needs the voxels of other parts.
-fn check_light(lighting: Lighting) -> Result<()> {
-    if lighting.is_on() {
-        anyhow::bail!("--distributed: found ambient occlusion or shadows, expected neither of them yet");
-    }
-    Ok(())
 }
 
 /// The voxels to read of a chosen region, or of all.

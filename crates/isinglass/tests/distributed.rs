@@ -5,10 +5,11 @@
 #[expect(dead_code, reason = "each test file uses its own part of the module")]
 mod common;
 
-use std::process::{Child, Command, Output, Stdio};
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use common::Bench;
+use common::{Bench, Running};
 
 const BINARY: &str = env!("CARGO_BIN_EXE_isinglass");
 
@@ -58,6 +59,7 @@ fn one_to_four_processes_show_what_one_shows() {
     const SIZE: &str = "--size 128x96 --backend cpu";
     for (name, look) in [
         ("builtin:cloud@48", ""),
+        ("builtin:cubus@40", "--ambient-occlusion 0.9 --shadows 0.8"),
         ("builtin:cubus@41", "--mode iso --clip-box=-0.6,0.5,-0.7,0.6,-0.4,0.5"),
         ("builtin:shells@56", "--mode average --orthographic"),
     ] {
@@ -122,10 +124,14 @@ fn an_error_of_one_is_one_line_and_ends_all() {
         assert!(ours.len() == 1 && ours[0].contains(expected), "{text}");
         assert_eq!(output.status.code(), Some(1), "{text}");
     }
-    // Too many processes, and what is not there yet.
+    // Too many processes, and an address that somebody else has.
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let port = taken.local_addr().expect("it has an address").port();
+    let words = format!("serve builtin:cloud@32 --listen 127.0.0.1:{port} --distributed");
+    let is_taken = format!("rank 0: port {port} of 127.0.0.1 is in use");
     for (words, expected) in [
         ("layers builtin:cloud@8 -o a.iglf --distributed", "parts of [8, 8, 8] voxels, expected fewer"),
-        ("render builtin:cloud@32 -o a.png --shadows 1 --distributed", "expected neither"),
+        (&words, &*is_taken),
     ] {
         let output = run(&bench, 2, words).expect("it was there");
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -136,20 +142,74 @@ fn an_error_of_one_is_one_line_and_ends_all() {
     let words = "layers builtin:cloud@160 -o a.iglf --size 1600x1200 --distributed";
     let command = command.args(["-n", "3", BINARY]).args(words.split_whitespace());
     let started = command.current_dir(bench.path("")).stderr(Stdio::null()).spawn();
-    let mut job = started.expect("mpirun starts");
-    let victim = child_of(&job);
+    ends_with_a_process(&mut started.expect("mpirun starts"));
+}
+
+/// Kills a process of a job, and waits until all of it has ended.
+fn ends_with_a_process(job: &mut Child) {
+    let victim = child_of(job);
     let killed = Command::new("kill").args(["-9", &victim.to_string()]).status();
     assert!(killed.is_ok_and(|status| status.success()));
+    assert!(!ended(job).success());
+}
+
+/// How a job ends, soon.
+fn ended(job: &mut Child) -> ExitStatus {
     let since = Instant::now();
-    let ended = loop {
+    loop {
         if let Some(ended) = job.try_wait().expect("the job is ours") {
-            break ended;
+            return ended;
         }
-        assert!(since.elapsed() < Duration::from_secs(60), "the others still run");
+        assert!(since.elapsed() < Duration::from_secs(60), "processes still run");
         std::thread::sleep(Duration::from_millis(20));
-    };
-    assert!(!ended.success());
-    println!("the job ended {:.1} s after one of its processes", since.elapsed().as_secs_f32());
+    }
+}
+
+/// A server of several processes, and the link to it.
+fn serve(bench: &Bench, num: usize, words: &str) -> Option<(Running, String)> {
+    let mut command = mpirun()?;
+    let fixed = "serve --listen 127.0.0.1:0 --json --distributed";
+    command.args(["-n", &num.to_string(), BINARY]).args(fixed.split_whitespace());
+    command.args(words.split_whitespace()).current_dir(bench.path(""));
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("mpirun starts");
+    let mut server = Running(child);
+    let mut told = String::new();
+    BufReader::new(server.0.stdout.take().expect("a pipe")).read_line(&mut told).expect("a line");
+    let told: serde_json::Value = serde_json::from_str(&told).expect("JSON of the links");
+    let link = told["links"][0].as_str().expect("a link").to_owned();
+    Some((server, link))
+}
+
+#[test]
+fn viewers_notice_nothing_of_several_processes() {
+    let bench = Bench::new();
+    // Still, a turn of half a second, and still again.
+    bench.write("a.path", "0 10 20\n0.2 10 20\n0.7 40 20\n1 40 20\n");
+    let look = "--ambient-occlusion 0.9 --shadows 0.7";
+    bench.ok(&format!(
+        "render builtin:shells@40 --size 96x64 --backend cpu {look} --orbit 40,20 -o truth.png"
+    ));
+    let view = "--headless --path a.path --out out --every 15 --size 96x64 --refresh 30 --backend cpu --json";
+    for num in 1..=4 {
+        let words = format!("builtin:shells@40 {look} --end-after-last 1s");
+        let Some((mut server, link)) = serve(&bench, num, &words) else { return };
+        let report = bench.json(&format!("view {link} {view}"));
+        let visit = &report["viewers"][0];
+        assert!(visit["exact_after_ms"][0].is_f64(), "{num} processes: {visit}");
+        assert!(visit["frames_per_second"].as_f64() > Some(0.0), "{num} processes: {visit}");
+        let off = |picture: &str| {
+            let found = bench.json(&format!("compare out/{picture} truth.png --json"));
+            found["max_abs_255"].as_u64().expect("a number")
+        };
+        assert!(off("rest-1.png") <= 1, "{num} processes: {}/255", off("rest-1.png"));
+        // The control: the first picture is from elsewhere.
+        assert!(off("first.png") > 20);
+        assert!(ended(&mut server.0).success(), "{num} processes end when no viewer is left");
+    }
+    // Idle processes are told of nothing, and end with one of them.
+    if let Some((mut server, _)) = serve(&bench, 3, "builtin:shells@40") {
+        ends_with_a_process(&mut server.0);
+    }
 }
 
 /// The number of a process that mpirun has started and that has been at work for a moment.

@@ -1,4 +1,4 @@
-//! Full volume rendering, layered frames and novel views by one interface, on the GPU or on the CPU.
+//! Full volume rendering, layered frames and novel views by one interface, on the GPU, on the CPU or in processes.
 //!
 //! Callers use a [`Backend`] and need not know where it runs. This crate has no kernels: those of the GPU are in
 //! `isinglass-gpu`, their twins in `isinglass-core`.
@@ -67,6 +67,20 @@ impl FromStr for BackendChoice {
     }
 }
 
+/// Processes that make frames and pictures of a volume together. Each has a part of it, and so has this one: its scene
+/// shows the own part under the wanted look.
+pub trait Workers: Send + Sync {
+    /// A layered frame with `header.k` segments per list on average. `None` when it is no longer wanted, or the processes
+    /// have ended.
+    fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame>;
+
+    /// Some rows of the picture of a view; `None` if the processes have ended.
+    fn render_rows(&self, scene: &Scene, view: &View, rows: Range<u32>) -> Option<Picture>;
+
+    /// What they are, such as `cpu of 4 processes`.
+    fn description(&self) -> String;
+}
+
 /// Where kernels run. Clones share the device.
 #[derive(Clone)]
 pub enum Backend {
@@ -76,6 +90,8 @@ pub enum Backend {
     Cpu,
     /// On the CPU, with layered frames by a laboratory's rule.
     Rule(FrameMaker),
+    /// In several processes.
+    Workers(Arc<dyn Workers>),
 }
 
 impl Backend {
@@ -127,6 +143,7 @@ impl Backend {
         match self {
             Self::Gpu(gpu) => format!("gpu: {}", gpu.info()),
             Self::Cpu | Self::Rule(_) => "cpu".into(),
+            Self::Workers(workers) => workers.description(),
         }
     }
 
@@ -136,6 +153,9 @@ impl Backend {
             Self::Gpu(gpu) => Renderer::Gpu(Box::new(GpuRenderer::new(gpu, scene)?)),
             Self::Cpu => Renderer::on_cpu(scene),
             Self::Rule(maker) => Renderer::Cpu(Box::new(CpuRenderer::new(scene, Some(maker.clone())))),
+            Self::Workers(workers) => {
+                Renderer::Workers(Box::new(SharedScene { scene, workers: workers.clone() }))
+            }
         })
     }
 
@@ -181,6 +201,26 @@ pub enum Renderer {
     Gpu(Box<GpuRenderer>),
     /// On the CPU.
     Cpu(Box<CpuRenderer>),
+    /// In several processes.
+    Workers(Box<SharedScene>),
+}
+
+/// A scene of which each of several processes has a part, and the own part.
+pub struct SharedScene {
+    scene: Scene,
+    workers: Arc<dyn Workers>,
+}
+
+impl SharedScene {
+    /// Rows of the picture of a view, or empty ones if the processes have ended.
+    fn render_rows(&self, view: &View, rows: Range<u32>) -> Picture {
+        let made = self.workers.render_rows(&self.scene, view, rows.clone());
+        made.unwrap_or_else(|| Picture::new(view.basis.width as u32, rows.len() as u32))
+    }
+
+    fn render(&self, view: &View) -> Picture {
+        self.render_rows(view, 0..view.basis.height as u32)
+    }
 }
 
 /// A scene on the CPU, with the budget of its frames.
@@ -242,6 +282,14 @@ impl Renderer {
         match self {
             Self::Gpu(renderer) => renderer.scene(),
             Self::Cpu(renderer) => &renderer.scene,
+            Self::Workers(shared) => &shared.scene,
+        }
+    }
+
+    /// Goes on after it was lost: on the CPU, or with the same processes, as no other has the whole volume.
+    pub fn fall_back(&mut self) {
+        if !matches!(self, Self::Workers(_)) {
+            *self = Self::on_cpu(self.scene().clone());
         }
     }
 
@@ -254,6 +302,10 @@ impl Renderer {
                 **renderer = CpuRenderer { num_scenes, ..CpuRenderer::new(scene, renderer.maker.take()) };
                 Ok(())
             }
+            Self::Workers(shared) => {
+                shared.scene = scene;
+                Ok(())
+            }
         }
     }
 
@@ -261,8 +313,9 @@ impl Renderer {
     pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.render(camera),
-            Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(_) | Self::Workers(_) if !camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(renderer) => Ok(march::render(&renderer.scene, camera)),
+            Self::Workers(shared) => Ok(shared.render(&View::from(camera))),
         }
     }
 
@@ -270,10 +323,11 @@ impl Renderer {
     pub fn render_rows(&mut self, camera: &Camera, rows: Range<u32>) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.render_rows(camera, rows),
-            Self::Cpu(_) if !camera.is_valid() || rows.end > camera.intrinsics.height => {
+            Self::Cpu(_) | Self::Workers(_) if !camera.is_valid() || rows.end > camera.intrinsics.height => {
                 Err(GpuError::Camera)
             }
             Self::Cpu(renderer) => Ok(march::render_rows(&renderer.scene, camera, rows)),
+            Self::Workers(shared) => Ok(shared.render_rows(&View::from(camera), rows)),
         }
     }
 
@@ -281,8 +335,9 @@ impl Renderer {
     pub fn render_mean(&mut self, views: &[View]) -> Result<Picture, GpuError> {
         check_views(views)?;
         match self {
-            Self::Gpu(renderer) => mean_on_gpu(views, |view| renderer.render_view(view)),
+            Self::Gpu(renderer) => mean_of_views(views, |view| renderer.render_view(view)),
             Self::Cpu(renderer) => Ok(lens::render_mean(&renderer.scene, views)),
+            Self::Workers(shared) => mean_of_views(views, |view| Ok(shared.render(view))),
         }
     }
 
@@ -290,8 +345,9 @@ impl Renderer {
     pub fn render_through(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.render_through(camera),
-            Self::Cpu(_) if !camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(_) | Self::Workers(_) if !camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(renderer) => Ok(march::render_through(&renderer.scene, camera)),
+            Self::Workers(shared) => Ok(shared.render(&View::from(camera))),
         }
     }
 
@@ -299,10 +355,14 @@ impl Renderer {
     pub fn generate(&mut self, header: FrameHeader) -> Result<LayeredFrame, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.generate(header),
-            Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(_) | Self::Workers(_) if !header.camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(renderer) => {
                 renderer.budget.forget();
                 Ok(renderer.generate_while(header, ALWAYS).unwrap_or_else(|| LayeredFrame::empty(header)))
+            }
+            Self::Workers(shared) => {
+                let made = shared.workers.generate(&shared.scene, header, ALWAYS);
+                Ok(made.unwrap_or_else(|| LayeredFrame::empty(header)))
             }
         }
     }
@@ -316,8 +376,9 @@ impl Renderer {
     ) -> Result<Option<LayeredFrame>, GpuError> {
         match self {
             Self::Gpu(renderer) => renderer.generate_while(header, wanted),
-            Self::Cpu(_) if !header.camera.is_valid() => Err(GpuError::Camera),
+            Self::Cpu(_) | Self::Workers(_) if !header.camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(renderer) => Ok(renderer.generate_while(header, wanted)),
+            Self::Workers(shared) => Ok(shared.workers.generate(&shared.scene, header, wanted)),
         }
     }
 }
@@ -331,13 +392,13 @@ impl Renderer {
                 let frame = UnfinishedFrame::new(&renderer.scene, header);
                 Some(Rows { scene: renderer.scene.clone(), number: renderer.num_scenes, frame })
             }
-            Self::Cpu(_) | Self::Gpu(_) => None,
+            Self::Cpu(_) | Self::Gpu(_) | Self::Workers(_) => None,
         };
         Ok(FrameInPieces { header, rows })
     }
 
-    /// Works on a frame while `goes_on`, and at least a little. It gets at most `max_segments` segments. A GPU and a
-    /// laboratory's rule make all of it at once, from the present scene, while it is `wanted`.
+    /// Works on a frame while `goes_on`, and at least a little. It gets at most `max_segments` segments. A GPU, several
+    /// processes and a laboratory's rule make all of it at once, from the present scene, while it is `wanted`.
     pub fn advance(
         &mut self,
         frame: &mut FrameInPieces,
@@ -419,14 +480,14 @@ impl Reprojector {
     pub fn raycast_mean_with(&mut self, views: &[View], options: &CastOptions) -> Result<Picture, GpuError> {
         check_views(views)?;
         match self {
-            Self::Gpu(reprojector) => mean_on_gpu(views, |view| reprojector.raycast_view(view, options)),
+            Self::Gpu(reprojector) => mean_of_views(views, |view| reprojector.raycast_view(view, options)),
             Self::Cpu(caster) => Ok(lens::mean_of_casts(caster, views, options)),
         }
     }
 }
 
-/// One pass per view; the sum has the same order as on the CPU.
-fn mean_on_gpu(
+/// A picture per view; the sum has the same order as on the CPU.
+fn mean_of_views(
     views: &[View],
     draw: impl FnMut(&View) -> Result<Picture, GpuError>,
 ) -> Result<Picture, GpuError> {

@@ -188,8 +188,8 @@ impl RenderThread {
             tracing::error!("other devices render from now on: {error}");
             return true;
         }
-        tracing::error!("rendering on the CPU from now on: {error}");
-        self.renderer = Renderer::on_cpu(self.renderer.scene().clone());
+        tracing::error!("the CPU goes on: {error}");
+        self.renderer.fall_back();
         false
     }
 
@@ -271,7 +271,7 @@ impl RenderThread {
         let Intrinsics { width, height, .. } = job.camera.intrinsics;
         let most = match self.renderer {
             Renderer::Gpu(_) => GPU_PIXELS,
-            Renderer::Cpu(_) => CPU_PIXELS,
+            Renderer::Cpu(_) | Renderer::Workers(_) => CPU_PIXELS,
         };
         let num_pixels = job.num_pixels.unwrap_or(most / 8).min(most);
         let end = job.first.saturating_add((num_pixels / width.max(1)).max(1)).min(height);

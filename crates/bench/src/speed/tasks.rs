@@ -316,7 +316,7 @@ fn timed<T>(backend: &Backend, body: impl FnOnce() -> Result<T, BenchError>) -> 
     };
     let (wall, gpu) = match backend {
         Backend::Gpu(gpu) => gpu.timed(run)?,
-        Backend::Cpu | Backend::Rule(_) => (run()?, None),
+        Backend::Cpu | Backend::Rule(_) | Backend::Workers(_) => (run()?, None),
     };
     Ok(Time { wall, gpu: gpu.map(|t| t.as_secs_f64() * 1e3) })
 }

@@ -8,5 +8,5 @@ pub mod lens;
 pub mod march;
 pub mod part_pictures;
 mod part_rows;
-pub use part_rows::{PartsError, rows_of};
+pub use part_rows::{PartsError, ROWS_IN_BLOCK, rows_of};
 pub mod raycast;

@@ -1,6 +1,8 @@
 //! Pictures of a volume whose parts are in several processes: each sees the rays in its own part, and one process puts
 //! the parts of each ray together.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::lens::View;
@@ -10,9 +12,9 @@ use crate::picture::Picture;
 use crate::space::Ray;
 use crate::volume::Split;
 
-/// What a process sees of a view in its own part of the volume, as words.
-pub fn seen(scene: &Scene, split: &Split, rank: usize, view: &View) -> Vec<u32> {
-    with_texels!(scene, texels => seen_with(&Marcher::new(scene, texels), scene, split, rank, view))
+/// What a process sees of some rows of a view in its own part of the volume, as words.
+pub fn seen(scene: &Scene, split: &Split, rank: usize, view: &View, rows: Range<u32>) -> Vec<u32> {
+    with_texels!(scene, texels => seen_with(&Marcher::new(scene, texels), scene, split, rank, view, rows))
 }
 
 /// A pixel's ray with its lattice in the whole volume.
@@ -27,8 +29,9 @@ fn seen_with<T: Texels>(
     split: &Split,
     rank: usize,
     view: &View,
+    rows: Range<u32>,
 ) -> Vec<u32> {
-    let rows: Vec<u32> = (0..view.basis.height as u32).collect();
+    let rows: Vec<u32> = rows.collect();
     part_rows::write(&rows, view.basis.width as u32, |x, y, words| {
         let Some((ray, lattice)) = ray_of(scene, view, x, y) else { return 0 };
         let mut own = None;
@@ -44,17 +47,18 @@ fn seen_with<T: Texels>(
     })
 }
 
-/// The picture of a view, premultiplied linear; `lists` are the words of each process.
+/// Some rows of the picture of a view, premultiplied linear; `lists` are the words of each process.
 ///
 /// # Errors
-/// If one did not send what a process sees of this view.
+/// If one did not send what a process sees of these rows.
 pub fn picture_of_parts(
     scene: &Scene,
     split: &Split,
     view: &View,
+    rows: Range<u32>,
     lists: &[Vec<u32>],
 ) -> Result<Picture, PartsError> {
-    with_texels!(scene, texels => unite_with(&Marcher::new(scene, texels), scene, split, view, lists))
+    with_texels!(scene, texels => unite_with(&Marcher::new(scene, texels), scene, split, view, rows, lists))
 }
 
 fn unite_with<T: Texels>(
@@ -62,16 +66,17 @@ fn unite_with<T: Texels>(
     scene: &Scene,
     split: &Split,
     view: &View,
+    rows: Range<u32>,
     lists: &[Vec<u32>],
 ) -> Result<Picture, PartsError> {
-    let (width, height) = (view.basis.width as u32, view.basis.height as u32);
-    let found = part_rows::read_all(lists, split.boxes().len(), height as usize, width, WORDS)?;
+    let (width, height) = (view.basis.width as u32, rows.len() as u32);
+    let found = part_rows::read_all(lists, split.boxes().len(), rows.len(), width, WORDS)?;
     let mut picture = Picture::new(width, height);
     picture.pixels.par_chunks_mut(width.max(1) as usize).enumerate().for_each(|(y, row)| {
         let mut columns: Vec<_> = found.iter().map(|rows| rows[y].columns()).collect();
         for (x, pixel) in row.iter_mut().enumerate() {
             let here: Vec<&[u32]> = columns.iter_mut().map(|columns| columns(x as u32)).collect();
-            let Some((ray, lattice)) = ray_of(scene, view, x as u32, y as u32) else { continue };
+            let Some((ray, lattice)) = ray_of(scene, view, x as u32, rows.start + y as u32) else { continue };
             let mut parts = Vec::new();
             split.runs(&marcher.point_line(&ray, lattice), 0..lattice.n, &mut |of, _| {
                 let words = here[of].as_chunks::<WORDS>().0;

@@ -38,6 +38,9 @@ pub enum PartsError {
         /// Number of words that its rows need.
         expected: usize,
     },
+    /// A process sent something else than the cells of the light that its part touches.
+    #[error("a process sent other cells of the light than those of its part")]
+    Cells,
     /// A process sent something about a pixel that its part does not show.
     #[error("process {rank} sent {found} items in row {row}, and {expected} of them lie in its part")]
     Stray {
@@ -52,9 +55,9 @@ pub enum PartsError {
     },
 }
 
-/// The rows of a picture that a process unites: blocks of `BLOCK` rows, dealt in turn.
+/// The rows of a picture that a process unites: blocks of [`ROWS_IN_BLOCK`] rows, dealt in turn.
 pub fn rows_of(rank: usize, num_ranks: usize, height: u32) -> Vec<u32> {
-    (0..height).filter(|row| (row / BLOCK) as usize % num_ranks.max(1) == rank).collect()
+    (0..height).filter(|row| (row / ROWS_IN_BLOCK) as usize % num_ranks.max(1) == rank).collect()
 }
 
 /// Writes the items of each pixel of `rows`. `fill(x, y, items)` adds those of a pixel and returns their number.
@@ -167,8 +170,8 @@ pub(super) fn read_all<'a>(
     each.map(|(rank, words)| read(words, rank, num_rows, width, words_per_item)).collect()
 }
 
-/// Rows in a block.
-const BLOCK: u32 = 8;
+/// Rows in a block of those that a process unites.
+pub const ROWS_IN_BLOCK: u32 = 8;
 /// Most items of a pixel.
 pub(super) const MAX_ITEMS: usize = 0xffff;
 

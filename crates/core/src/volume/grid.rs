@@ -387,9 +387,9 @@ impl Volume {
         self.spacing
     }
 
-    /// Voxels along x, y, z of the finest level.
+    /// Voxels along x, y, z of the finest level of the whole.
     pub fn finest_dims(&self) -> [u32; 3] {
-        self.finest.as_ref().map_or(self.dims, |finest| finest.dims)
+        self.finest.as_ref().map_or(self.whole_dims(), |finest| finest.dims)
     }
 
     /// Distance between voxel centres of the finest level, world units.

@@ -1,12 +1,13 @@
 //! Histogram of the physical values, and the percentiles read from it.
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::grid::{Volume, Voxels};
 use super::world::VoxelBox;
 
 /// Counts of voxels in equal bins, usually between the least and the greatest value.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Histogram {
     /// Value at the left edge of the first bin, which also counts lesser values.
     pub lo: f32,

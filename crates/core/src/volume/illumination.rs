@@ -6,11 +6,12 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::extinction::{Detail, Extinction, Matter, Sheet};
+use super::extinction::{CellSums, Detail, Extinction, Matter, Sheet};
 use super::grid::Volume;
 use super::lighting::Lighting;
 use super::lit::{LIT_MAX, Lit, Shading};
 use super::shade::Shade;
+use super::world::VoxelBox;
 use crate::clip::Region;
 use crate::transfer::TransferTable;
 
@@ -37,6 +38,8 @@ pub struct Illumination {
     shadow: Option<GradedShade>,
     /// Whether the occlusion is that of another look, or missing, until the final one is there.
     lacks_occlusion: bool,
+    /// Of a part of a volume, the detail of the shade that is not there before all parts have sent their cells.
+    awaits: Option<Detail>,
     lit: Option<Arc<Lit>>,
 }
 
@@ -112,10 +115,11 @@ impl Illumination {
             occlusion: None,
             shadow: None,
             lacks_occlusion: false,
+            awaits: (lighting.is_on() && volume.whole().is_some()).then_some(detail),
             lit: gradients.clone(),
             gradients,
         };
-        if lighting.is_on() {
+        if lighting.is_on() && found.awaits.is_none() {
             let near = before.and_then(|(_, near)| near).filter(|near| near.fits(volume));
             let before = before.map(|(b, _)| b);
             let alike = before.filter(has_volume).filter(|b| b.classes.shades_like(&found.classes));
@@ -169,6 +173,31 @@ impl Illumination {
         self.extinction = extinction;
     }
 
+    /// Of a part of a volume that shade is missing for: what the voxels of `own` add to the cells of the light, as words.
+    /// `matter` attenuates light, and bodies have the lesser numbers if so.
+    pub(crate) fn own_cells(&self, matter: (Matter<'_>, Option<bool>), own: &VoxelBox) -> Option<Vec<u32>> {
+        Some(CellSums::of(&self.volume, own, matter, self.awaits?).to_words())
+    }
+
+    /// The same with all of its shade, given the box and the words of each part. `None` if one has sent other cells.
+    pub(crate) fn with_cells(mut self, parts: &[(VoxelBox, &[u32])]) -> Option<Self> {
+        let Some(detail) = self.awaits.take() else { return Some(self) };
+        let (lighting, volume) = (self.lighting, self.volume.clone());
+        let has_surfaces = self.classes.sheets.is_some();
+        let cells = Extinction::of_parts(&volume, parts, has_surfaces, &self.classes.region, detail)?;
+        if lighting.ambient_occlusion > 0.0 {
+            let radius = lighting.occlusion_radius * volume.bounds().radius();
+            self.occlusion = Some((detail, Arc::new(Shade::occlusion(&cells, radius, detail))));
+        }
+        if lighting.shadows > 0.0 {
+            self.shadow = Some((detail, Arc::new(Shade::shadow(&cells, &lighting, detail))));
+        }
+        let first = Vec3::from_array(volume.first().map(|n| n as f32));
+        let lit = self.combined(volume.dims(), self.gradients.as_deref(), (Vec3::ONE, first));
+        self.lit = Some(Arc::new(lit));
+        Some(self)
+    }
+
     /// The brightness that a march reads; `None` where matter is not lit.
     pub fn lit(&self) -> Option<&Arc<Lit>> {
         self.lit.as_ref()
@@ -182,6 +211,7 @@ impl Illumination {
     /// Whether the shade has its final detail, or there is none.
     pub fn is_final(&self) -> bool {
         !self.lacks_occlusion
+            && self.awaits != Some(Detail::Draft)
             && [&self.occlusion, &self.shadow].into_iter().flatten().all(|part| part.0 == Detail::Final)
     }
 

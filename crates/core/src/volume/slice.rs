@@ -185,7 +185,8 @@ impl Slice {
     /// Makes a slice of a volume; `None` if nobody waits for it any more. Points outside the volume have the least
     /// stored number.
     ///
-    /// A level of a pyramid is cut as the finest level would be, by values between its voxels.
+    /// A level of a pyramid is cut as the finest level would be, by values between its voxels. Of a part of a volume,
+    /// the voxels that are not there have the least stored number.
     ///
     /// Codes of 8-bit and 16-bit voxels are the stored numbers. Means and oblique values of 8-bit voxels have 16 bits.
     /// Floats are rounded to 65535 steps of their range.
@@ -234,7 +235,8 @@ fn values<T: Copy + Into<f64> + Sync>(
     let (dims, spacing) = (volume.dims(), volume.spacing());
     let rows = out.par_chunks_mut(width).enumerate();
     match spec.plane {
-        SlicePlane::Axis { axis, index } if volume.finest().is_some() => {
+        SlicePlane::Axis { axis, index } if volume.finest().is_some() || volume.whole().is_some() => {
+            let least = f64::from(volume.stored_range().0);
             let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
             let along = usize::from(axis.min(2));
             let slab = spec.slab(index, dims[along], spacing[along]);
@@ -250,7 +252,7 @@ fn values<T: Copy + Into<f64> + Sync>(
                 for (x, value) in row.iter_mut().enumerate() {
                     for (n, layer) in layers.iter().enumerate() {
                         let stored = trilinear(volume, voxels, layer.point(x as f32, y as f32));
-                        add(value, stored.unwrap_or_default(), n, spec.mode);
+                        add(value, stored.unwrap_or(least), n, spec.mode);
                     }
                 }
                 end(row, layers.len(), spec.mode);
@@ -326,7 +328,8 @@ fn end(row: &mut [f64], num: usize, mode: SlabMode) {
     }
 }
 
-/// The stored number between voxel centres; beyond the outermost centres that of the nearest. None outside the volume.
+/// The stored number between voxel centres; beyond the outermost centres that of the nearest. None outside the volume,
+/// and where a part of one has no voxels.
 fn trilinear<T: Copy + Into<f64>>(volume: &Volume, voxels: &[T], point: Vec3) -> Option<f64> {
     let (dims, spacing, bounds) = (volume.dims(), volume.spacing(), volume.bounds());
     // A point on a face may be rounded to the outside.
@@ -338,9 +341,13 @@ fn trilinear<T: Copy + Into<f64>>(volume: &Volume, voxels: &[T], point: Vec3) ->
     let mut low = [0usize; 3];
     let mut high = [0usize; 3];
     let mut share = [0f64; 3];
+    let (first, whole) = (volume.first(), volume.whole_dims());
     for i in 0..3 {
         let last = dims[i] - 1;
-        let x = at[i].clamp(0.0, last as f32);
+        let x = at[i].clamp(0.0, (whole[i] - 1) as f32) - first[i] as f32;
+        if !(0.0..=last as f32).contains(&x) {
+            return None;
+        }
         low[i] = x as usize;
         high[i] = (low[i] + 1).min(last as usize);
         share[i] = f64::from(x) - low[i] as f64;

@@ -70,6 +70,12 @@ impl Volume {
         self.whole().map_or([0; 3], |whole| whole.first)
     }
 
+    /// Whether a voxel of the whole volume is here.
+    pub fn holds(&self, voxel: [u32; 3]) -> bool {
+        let first = self.first();
+        VoxelBox { first, end: [0, 1, 2].map(|axis| first[axis] + self.dims()[axis]) }.contains(voxel)
+    }
+
     /// The stored number at the coordinates of the whole, clamped to the voxels that are here.
     pub fn stored_in_world(&self, voxel: [u32; 3]) -> f32 {
         let [x, y, z] = [0, 1, 2].map(|axis| i64::from(voxel[axis]) - i64::from(self.first()[axis]));

@@ -46,11 +46,10 @@ impl ProbeRequest {
     pub fn answer(&self, volume: &Volume) -> Probed {
         let (bounds, point) = (volume.bounds(), Vec3::from_array(self.point));
         let is_inside = point.cmpge(bounds.min).all() && point.cmple(bounds.max).all();
-        let voxel = is_inside.then(|| {
-            let at = point / volume.spacing() + volume.voxel_origin();
-            let dims = volume.dims();
-            let here: [u32; 3] = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
-            let [x, y, z] = here.map(|i| i as i32);
+        let at = point / volume.spacing() + volume.voxel_origin();
+        let dims = volume.whole_dims();
+        let here: [u32; 3] = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
+        let voxel = (is_inside && volume.holds(here)).then(|| {
             // Viewers know the finest level's voxels.
             let finest = volume.finest_dims();
             let at = (point - bounds.min) / volume.finest_spacing();
@@ -58,7 +57,7 @@ impl ProbeRequest {
                 Some(_) => std::array::from_fn(|i| (at[i].max(0.0) as u32).min(finest[i] - 1)),
                 None => here,
             };
-            ProbedVoxel { index, value: volume.value_from_stored(volume.stored_at(x, y, z)) }
+            ProbedVoxel { index, value: volume.value_from_stored(volume.stored_in_world(here)) }
         });
         Probed { id: self.id, point: self.point, voxel }
     }

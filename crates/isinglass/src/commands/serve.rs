@@ -3,25 +3,30 @@
 use std::net::{Ipv6Addr, SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::pin::pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use isinglass_bench::progress::note;
+use isinglass_core::look::Look;
+use isinglass_core::volume::Volume;
 use isinglass_net::{Identity, Link};
-use isinglass_server::{Attendance, ServeOptions, Timing};
+use isinglass_render::Devices;
+use isinglass_server::{Attendance, Library, ServeOptions, Timing};
 use serde_json::json;
 use tokio::time::Instant;
 
 use crate::args::{BackendArgs, GpusArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
 use crate::detach;
+use crate::distributed::{DistributedArgs, Together};
 use crate::given::Given;
 use crate::identity_file;
 use crate::light_args::LightArgs;
 use crate::memory::MemoryArgs;
 use crate::metrics::{self, parse_loopback};
 use crate::report::print;
-use crate::state_args::StateArgs;
+use crate::state_args::{Seen, StateArgs};
 
 #[derive(Args)]
 pub(crate) struct ServeArgs {
@@ -48,6 +53,8 @@ pub(crate) struct ServeArgs {
     gpus: GpusArgs,
     #[command(flatten)]
     memory: MemoryArgs,
+    #[command(flatten)]
+    distributed: DistributedArgs,
     /// Show only this part: viewers cannot choose another channel, time, level or series
     #[arg(long)]
     fixed: bool,
@@ -61,7 +68,7 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     end_after_last: Option<Duration>,
     /// Go on in the background when the links are printed, even when the terminal or the ssh connection closes
-    #[arg(long)]
+    #[arg(long, conflicts_with = "distributed")]
     detach: bool,
     /// This process is the one in the background
     #[arg(long, hide = true, conflicts_with = "detach")]
@@ -87,24 +94,51 @@ pub(crate) fn run(args: ServeArgs, given: Given) -> Result<()> {
     if args.detached {
         detach::leave_terminal()?;
     }
+    match args.distributed.join()? {
+        Some(together) => together.conclude(serve_together(&args, given, &together)),
+        None => serve_alone(&args, given),
+    }
+}
+
+/// Serves a volume that this process holds.
+fn serve_alone(args: &ServeArgs, given: Given) -> Result<()> {
     let seen = args.state.read(given)?;
-    let source = seen.volume(&args.volume)?.source()?.to_owned();
     let (opened, look) =
         seen.open_to_serve(&args.volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
+    let library = (!args.fixed).then_some(opened.library);
+    serve(args, &seen, (opened.volume, look), args.gpus.open(&args.backend)?, library)
+}
+
+/// Serves a volume whose parts several processes hold. Viewers cannot choose another part of the file.
+fn serve_together(args: &ServeArgs, given: Given, together: &Together) -> Result<()> {
+    let seen = args.state.read(given)?;
+    let light = (args.light.lighting(), &args.lists);
+    together.serve(&seen, (&args.volume, &args.memory), &args.look, light, |volume, look, backend| {
+        serve(args, &seen, (volume, look), backend.into(), None)
+    })
+}
+
+fn serve(
+    args: &ServeArgs,
+    seen: &Seen,
+    (volume, look): (Arc<Volume>, Look),
+    devices: Devices,
+    library: Option<Library>,
+) -> Result<()> {
+    let source = seen.volume(&args.volume)?.source()?.to_owned();
     // A viewer that follows the link opens the state at once.
     let state = seen.for_link(&look);
-    let devices = args.gpus.open(&args.backend)?;
     let description = devices.description();
-    let bytes = opened.volume.bytes_in_memory();
+    let bytes = volume.bytes_in_memory();
     let options = ServeOptions {
-        volume: opened.volume,
+        volume,
         look,
         devices,
         listen: args.listen,
         plan: args.plan.plan(args.rate),
         max_viewers: args.viewers,
         frame_memory: args.memory.frame_bytes(bytes),
-        library: (!args.fixed).then_some(opened.library),
+        library,
         timing: Timing::default(),
     };
     let identity =

@@ -49,6 +49,8 @@ pub struct Scene {
     pub illumination: Illumination,
     /// The settings of the march.
     pub settings: MarchSettings,
+    /// What the first channel of the volume is classified by.
+    pub transfer: Arc<TransferFunction>,
     /// All channels of the volume.
     pub channels: Arc<[ChannelFacts]>,
     /// What of the channels is shown.
@@ -209,6 +211,7 @@ impl Scene {
             occupancy,
             illumination,
             settings,
+            transfer: Arc::new(transfer.clone()),
             channels,
             looks,
             opacities,

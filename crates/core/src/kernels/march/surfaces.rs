@@ -14,9 +14,13 @@
 use super::modes::Surface;
 use super::{Advance, Lattice, Scene, Sink, Step};
 use crate::clip::Clip;
+use crate::kernels::part_rows::PartsError;
 use crate::kernels::raycast::opacity;
+use crate::mode::Mode;
 use crate::transfer::TransferTable;
-use crate::volume::{Sheet, Volume, VoxelBox, are_lesser_bodies, area_above, has_lesser_bodies};
+use crate::volume::{
+    Matter, Sheet, Volume, VoxelBox, are_lesser_bodies, area_above, has_lesser_bodies, opacity_table,
+};
 
 pub(super) fn sheets(surfaces: &[Surface]) -> Vec<Sheet> {
     let sheet = |&Surface { stored, tau, .. }: &Surface| Sheet { stored, tau, is_opaque: tau > OPAQUE_TAU };
@@ -44,6 +48,38 @@ impl Scene {
     /// The scene of a part, given the sum of the first area over all parts and the second.
     pub fn with_areas_of_bodies(self, areas: [f64; 2]) -> Self {
         Self { has_lesser_bodies: in_positions(are_lesser_bodies(areas), &self.table), ..self }
+    }
+}
+
+impl Scene {
+    /// Of a part of a volume whose shade needs all parts: what the voxels of `own` add to it, as words. The side of the
+    /// bodies must be known. `None` if there is no shade, or it is there.
+    pub fn own_cells_of_light(&self, own: &VoxelBox) -> Option<Vec<u32>> {
+        let sheets = sheets(&self.surfaces);
+        let is_lesser = Some(in_positions(self.has_lesser_bodies, &self.table));
+        let table;
+        let matter = match &self.opacities {
+            Some(opacities) => {
+                table = opacity_table(opacities);
+                Matter::Medium(&table)
+            }
+            None if self.settings.mode == Mode::Iso => Matter::Surfaces(&sheets),
+            None => Matter::Medium(&self.table),
+        };
+        self.illumination.own_cells((matter, is_lesser), own)
+    }
+
+    /// The scene of a part with its shade, given the box of each part and its words.
+    ///
+    /// # Errors
+    /// If a part has sent something else.
+    pub fn lit_by_cells(mut self, boxes: &[VoxelBox], words: &[Vec<u32>]) -> Result<Self, PartsError> {
+        if boxes.len() != words.len() {
+            return Err(PartsError::Processes { found: words.len(), expected: boxes.len() });
+        }
+        let parts: Vec<_> = boxes.iter().copied().zip(words.iter().map(Vec::as_slice)).collect();
+        self.illumination = self.illumination.with_cells(&parts).ok_or(PartsError::Cells)?;
+        Ok(self)
     }
 }
 

@@ -7,7 +7,7 @@
 
 use rayon::prelude::*;
 
-use super::Extinction;
+use super::{CellBox, CellSums, Extinction};
 use crate::clip::Region;
 use crate::volume::grid::{Volume, Voxels};
 use crate::volume::world::VoxelBox;
@@ -51,11 +51,17 @@ struct Body {
 impl Body {
     /// The bodies of opaque sheets in `region`, of which the outermost hides the others.
     fn of(sheets: &[Sheet], volume: &Volume, region: &Region) -> Option<Self> {
-        let opaque = || sheets.iter().filter(|s| s.is_opaque).map(|s| s.stored);
-        let lowest = opaque().min_by(f32::total_cmp)?;
-        let is_greater = share_above(volume, region, lowest) <= 0.5;
-        let highest = opaque().max_by(f32::total_cmp)?;
-        Some(Self { stored: if is_greater { lowest } else { highest }, is_greater })
+        let opaque = sheets.iter().filter(|s| s.is_opaque).map(|s| s.stored);
+        let is_greater = share_above(volume, region, opaque.min_by(f32::total_cmp)?) <= 0.5;
+        Self::on_side(sheets, is_greater)
+    }
+
+    /// The same, where the side that bodies have is known.
+    fn on_side(sheets: &[Sheet], is_greater: bool) -> Option<Self> {
+        let opaque = sheets.iter().filter(|s| s.is_opaque).map(|s| s.stored);
+        let stored =
+            if is_greater { opaque.min_by(f32::total_cmp)? } else { opaque.max_by(f32::total_cmp)? };
+        Some(Self { stored, is_greater })
     }
 
     /// The filled fraction of a voxel: the mean over half the ways to its neighbours, with linear numbers between.
@@ -166,22 +172,22 @@ fn sampled((lo, hi): (i32, i32)) -> impl Iterator<Item = i32> {
     (lo + (apart - 1) / 2..=hi).step_by(apart as usize)
 }
 
-impl Extinction {
-    /// Fills the bodies and adds the sheets; `step` as in [`Extinction::of`]. `region` only decides which side the
-    /// bodies have: nothing is cut yet.
+impl CellSums {
+    /// Adds the bodies and the sheets. Bodies have the lesser numbers if `is_lesser`.
     pub(super) fn fill_surfaces(
         &mut self,
         volume: &Volume,
-        step: [usize; 3],
+        cells: &CellBox,
         sheets: &[Sheet],
-        region: &Region,
+        is_lesser: Option<bool>,
     ) {
-        let body = Body::of(sheets, volume, region);
+        let body = is_lesser.and_then(|is_lesser| Body::on_side(sheets, !is_lesser));
         let sheets: Vec<Sheet> = sheets.iter().filter(|s| !s.is_opaque).copied().collect();
+        self.full = vec![0.0; cells.count()];
         match volume.voxels() {
-            Voxels::U8(v) => self.fill_from(v, volume, step, body, &sheets),
-            Voxels::U16(v) => self.fill_from(v, volume, step, body, &sheets),
-            Voxels::F32(v) => self.fill_from(v, volume, step, body, &sheets),
+            Voxels::U8(v) => self.fill_from(v, volume, cells, body, &sheets),
+            Voxels::U16(v) => self.fill_from(v, volume, cells, body, &sheets),
+            Voxels::F32(v) => self.fill_from(v, volume, cells, body, &sheets),
         }
     }
 
@@ -189,31 +195,28 @@ impl Extinction {
         &mut self,
         voxels: &[T],
         volume: &Volume,
-        step: [usize; 3],
+        cells: &CellBox,
         body: Option<Body>,
         sheets: &[Sheet],
     ) {
         let [nx, ny, nz] = volume.dims().map(|d| d as usize);
-        let [cx, cy, _] = self.dims;
-        let side = self.voxels;
-        let taken = |axis: usize| side[axis].div_ceil(step[axis]) as f32;
-        let share = (taken(0) * taken(1) * taken(2)).recip();
+        let [fx, fy, fz] = volume.first().map(|d| d as usize);
+        let [cx, cy, _] = cells.dims;
+        let (step, share) = (cells.step, cells.share());
         // A sheet straight across an axis has one crossing per sampled column of voxels. This is its optical depth
         // per unit of length, spread over the cell.
         let apart = volume.spacing() * glam::Vec3::from_array(step.map(|n| n as f32));
         let per_crossing = apart.recip() * share;
-        let length = self.cell.to_array().iter().product::<f32>().cbrt();
-        self.sigma.par_chunks_mut(cx * cy).enumerate().for_each(|(k, slice)| {
-            let mut full = vec![0.0f32; cx * cy];
-            for z in (k * side[2]..((k + 1) * side[2]).min(nz)).step_by(step[2]) {
-                for y in (0..ny).filter(|y| (y % side[1]).is_multiple_of(step[1])) {
+        let slices = self.sigma.par_chunks_mut(cx * cy).zip(self.full.par_chunks_mut(cx * cy));
+        slices.enumerate().for_each(|(k, (slice, full))| {
+            for z in cells.voxels(2, k).map(|z| z - fz) {
+                for (j, y) in (0..cy).flat_map(|j| cells.voxels(1, j).map(move |y| (j, y - fy))) {
                     let row = |y: usize, z: usize| &voxels[(z * ny + y) * nx..][..nx];
                     let here = row(y, z);
                     let beside = [row(y.saturating_sub(step[1]), z), row((y + step[1]).min(ny - 1), z)];
                     let across = [row(y, z.saturating_sub(step[2])), row(y, (z + step[2]).min(nz - 1))];
-                    let first = y / side[1] * cx;
-                    for (i, cell) in (first..first + cx).enumerate() {
-                        for x in (i * side[0]..((i + 1) * side[0]).min(nx)).step_by(step[0]) {
+                    for (i, cell) in (j * cx..(j + 1) * cx).enumerate() {
+                        for x in cells.voxels(0, i).map(|x| x - fx) {
                             let v: f32 = here[x].into();
                             let ahead = [here[(x + step[0]).min(nx - 1)], beside[1][x], across[1][x]];
                             let ahead: [f32; 3] = ahead.map(Into::into);
@@ -232,11 +235,17 @@ impl Extinction {
                     }
                 }
             }
-            for (sigma, full) in slice.iter_mut().zip(full) {
-                // A partly full cell hides that share of what is behind it.
-                *sigma += -(1.0 - full).max(FULL_TRANSMITTANCE).ln() / length;
-            }
         });
+    }
+}
+
+impl Extinction {
+    /// Adds bodies, given the share of each cell that they fill: it hides that share of what is behind it.
+    pub(super) fn hide_behind_bodies(&mut self, full: &[f32]) {
+        let length = self.cell.to_array().iter().product::<f32>().cbrt();
+        for (sigma, full) in self.sigma.iter_mut().zip(full) {
+            *sigma += -(1.0 - full).max(FULL_TRANSMITTANCE).ln() / length;
+        }
     }
 }
 
