@@ -1,5 +1,6 @@
 //! Opens a volume on its own thread, so that a window never waits.
 
+use std::path::PathBuf;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, mpsc};
@@ -32,6 +33,8 @@ pub struct LoadRequest {
     pub foreign_files: bool,
     /// How the numbers become voxels.
     pub reading: Reading,
+    /// The folder with indices of volumes that were read before, which opening may add to.
+    pub index_folder: Option<PathBuf>,
 }
 
 impl LoadRequest {
@@ -42,9 +45,10 @@ impl LoadRequest {
 
     /// The options to open it with. A volume that does not fit is read by pages.
     pub fn options(&self) -> OpenOptions<'_> {
-        let &Self { source: _, raw, selection, spacing, max_bytes, foreign_files, ref reading } = self;
-        let options = OpenOptions::default();
-        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, reading, by_pages: true, ..options }
+        let &Self { raw, selection, spacing, max_bytes, foreign_files, ref reading, .. } = self;
+        let index_folder = self.index_folder.as_deref();
+        let options = OpenOptions { by_pages: true, index_folder, ..OpenOptions::default() };
+        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, reading, ..options }
     }
 }
 

@@ -53,14 +53,13 @@ impl VolumeSource {
     /// A request to load it within a limit of memory.
     pub fn request(self, max_bytes: u64) -> LoadRequest {
         let Self { source, raw, selection, spacing, foreign_files, reading } = self;
-        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, reading }
+        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, reading, index_folder: None }
     }
 }
 
 impl From<LoadRequest> for VolumeSource {
     fn from(request: LoadRequest) -> Self {
-        let LoadRequest { source, raw, selection, spacing, max_bytes: _, foreign_files: _, reading } =
-            request;
+        let LoadRequest { source, raw, selection, spacing, reading, .. } = request;
         Self { raw, selection, spacing, reading, ..Self::new(source) }
     }
 }

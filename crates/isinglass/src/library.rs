@@ -14,7 +14,6 @@ use isinglass_formats::{
 };
 use isinglass_server::{Library, Loaded, Loader, Survey};
 
-use crate::local::index_folder;
 use crate::memory;
 
 pub(crate) struct FileLoader {
@@ -74,7 +73,7 @@ impl FileLoader {
     }
 
     fn options(&self, selection: Selection) -> OpenOptions<'_> {
-        OpenOptions { selection, index_folder: index_folder(), ..self.request.options() }
+        OpenOptions { selection, ..self.request.options() }
     }
 }
 

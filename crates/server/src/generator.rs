@@ -4,15 +4,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use isinglass_core::camera::Camera;
-use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::march::{LitPage, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::session::admission::ViewerId;
-use isinglass_core::volume::Occlusion;
+use isinglass_core::volume::{Occlusion, Page};
 use isinglass_gpu::GpuError;
 use isinglass_net::AfterWork;
 use isinglass_render::{Backend, FrameInPieces, Renderer};
+use rayon::ThreadPool;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::ServeError;
@@ -30,6 +31,8 @@ pub(crate) struct Generator {
     jobs: mpsc::Sender<Job>,
     after_work: AfterWork,
     pictures: Arc<Semaphore>,
+    /// Threads that light pages: half of the machine, so that frames go on.
+    lighters: Arc<ThreadPool>,
     /// Who has had work lately.
     pub(crate) company: Company,
     counters: Counters,
@@ -115,6 +118,10 @@ pub(crate) struct FrameOrder {
 pub(crate) enum Job {
     Frame(Box<FrameJob>),
     Rows(Box<RowsJob>),
+    /// Shows pages that are lit, and answers with some that the light of a scene has not reached.
+    Light { scene: SceneNumber, lit: Box<Scene>, pages: Vec<LitPage>, reply: oneshot::Sender<Vec<Arc<Page>>> },
+    /// Forgets all pages until the next frame.
+    ForgetPages { scene: SceneNumber, reply: oneshot::Sender<()> },
     Replace { state: Box<RenderThread>, reply: oneshot::Sender<()> },
 }
 
@@ -194,7 +201,10 @@ impl Generator {
             .name("generator".into())
             .spawn(move || threads.install(work))
             .map_err(ServeError::Thread)?;
-        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)), company, counters })
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let lighters = rayon::ThreadPoolBuilder::new().num_threads(cores.div_ceil(2));
+        let lighters = Arc::new(lighters.thread_name(|i| format!("light {i}")).build()?);
+        Ok(Self { jobs, after_work, pictures: Arc::new(Semaphore::new(1)), lighters, company, counters })
     }
 
     /// The ordered frame, while its wish holds. It may be smaller than its header says, to keep to its memory. `None`
@@ -232,6 +242,35 @@ impl Generator {
         self.jobs.send(Job::Replace { state, reply }).await.is_ok() && answer.await.is_ok()
     }
 
+    /// Forgets the pages that the thread shows, so that their memory is free.
+    pub(crate) async fn forget_pages(&self, scene: SceneNumber) {
+        let (reply, answer) = oneshot::channel();
+        if self.jobs.send(Job::ForgetPages { scene, reply }).await.is_ok() {
+            let _ = answer.await;
+        }
+    }
+
+    /// Lights all pages that the thread shows as `lit` does, piece by piece and beside the frames. They show each piece
+    /// as soon as it is there, so that no page has two lights for long.
+    pub(crate) async fn light_pages(&self, scene: SceneNumber, lit: &Scene) {
+        let mut pages = Vec::new();
+        for _ in 0..MAX_PIECES {
+            let (reply, answer) = oneshot::channel();
+            let job = Job::Light { scene, lit: Box::new(lit.clone()), pages, reply };
+            if self.jobs.send(job).await.is_err() {
+                return;
+            }
+            let Ok(dark) = answer.await else { return };
+            if dark.is_empty() {
+                return;
+            }
+            let (lit, lighters) = (lit.clone(), self.lighters.clone());
+            let work = tokio::task::spawn_blocking(move || lighters.install(|| lit.light_pages(dark)));
+            let Ok(lit) = work.await else { return };
+            pages = lit;
+        }
+    }
+
     /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade. It is 8-bit
     /// sRGB over a linear background, three bytes per pixel, or transparent with four. It is made in pieces, with frames in between, and only
     /// one at a time, because pictures are large. `None` if the thread has ended. Dropping this cancels the picture.
@@ -248,7 +287,7 @@ impl Generator {
         background: Option<[f32; 3]>,
     ) -> Option<Result<Vec<u8>, GenerateError>> {
         let _turn = self.pictures.acquire().await.ok()?;
-        let lit = if look.lighting.is_on() { Some(lights.scene(look).await?) } else { None };
+        let lit = if look.lighting.is_on() { Some(lights.scene(look, Some((self, scene))).await?) } else { None };
         let (mut srgb, mut first, mut has_failed, mut num_pixels) = (Vec::new(), 0, false, None);
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();
@@ -290,3 +329,5 @@ pub(crate) fn renderer_of(backend: &Backend, scene: Scene) -> Result<Renderer, G
 const MAX_JOBS: usize = 16;
 /// Time for the rows of a picture, µs: no viewer waits longer for its frame.
 const ROWS_MICROS: u64 = 50_000;
+/// Most pieces in which pages are lit. Other viewers' looks might make them dark again.
+const MAX_PIECES: usize = 1024;

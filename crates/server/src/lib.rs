@@ -12,6 +12,7 @@ mod company;
 mod counters;
 mod frame_memory;
 mod generator;
+mod give_up;
 mod lights;
 mod paging;
 mod pipeline;

@@ -10,6 +10,9 @@ use isinglass_core::look::Look;
 use isinglass_core::volume::{Detail, Volume};
 use tokio::sync::Semaphore;
 
+use crate::generator::Generator;
+use crate::selection::SceneNumber;
+
 /// Clones share the scenes.
 #[derive(Clone, Debug)]
 pub(crate) struct Lights {
@@ -61,33 +64,47 @@ impl Lights {
         scenes.last().map(|(_, scene)| scene.clone())
     }
 
-    /// The scene of a look, computed if necessary. `None` if that failed.
-    pub(crate) async fn scene(&self, look: &Look) -> Option<Scene> {
+    /// The scene of a look, computed if necessary. `None` if that failed. Pages that the generator shows are lit, too,
+    /// before any frame has the scene.
+    pub(crate) async fn scene(&self, look: &Look, shown: Option<(&Generator, SceneNumber)>) -> Option<Scene> {
         let turn = self.turns.clone().acquire_owned().await.ok()?;
         if let Some(scene) = self.known(look) {
             return Some(scene);
         }
-        let (look, base, known) = (look.clone(), self.base.clone(), self.known.clone());
+        let (of, base, known) = (look.clone(), self.base.clone(), self.known.clone());
+        let shown = shown.filter(|_| self.is_paged);
+        let is_whole = shown.is_none();
         // The requester may leave meanwhile. The result serves the next one, whose turn comes when this has ended.
         let work = tokio::task::spawn_blocking(move || {
-            let _turn = turn;
             // What the newest look has in common with this one need not be worked out again.
             let newest = lock(&known).last().map_or_else(|| (*base).clone(), |(_, scene)| scene.clone());
             let occlusion = newest.illumination.occlusion();
-            let scene = newest.under(&look, Detail::Final, occlusion.as_ref());
-            let mut known = lock(&known);
-            if known.len() == MAX_KNOWN {
-                known.remove(0);
+            let scene = newest.under(&of, Detail::Final, occlusion.as_ref());
+            if is_whole {
+                keep(&known, of, &scene);
             }
-            known.push((look, scene.clone()));
-            scene
+            (scene, turn)
         });
-        work.await.inspect_err(|e| tracing::error!("no light: {e}")).ok()
+        let (scene, _turn) = work.await.inspect_err(|e| tracing::error!("no light: {e}")).ok()?;
+        if let Some((generator, number)) = shown {
+            generator.light_pages(number, &scene).await;
+            keep(&self.known, look.clone(), &scene);
+        }
+        Some(scene)
     }
 
     fn scenes(&self) -> MutexGuard<'_, Vec<(Look, Scene)>> {
         lock(&self.known)
     }
+}
+
+/// Keeps a scene as the newest.
+fn keep(known: &Mutex<Vec<(Look, Scene)>>, look: Look, scene: &Scene) {
+    let mut known = lock(known);
+    if known.len() == MAX_KNOWN {
+        known.remove(0);
+    }
+    known.push((look, scene.clone()));
 }
 
 /// Every change is one step, so a panic leaves the list in order.

@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::cancel::Wanted;
 use isinglass_core::codec::MAX_FRAME_SEGMENTS;
-use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::march::{LitPage, Scene};
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::frames::within;
-use isinglass_core::volume::{Detail, Occlusion, PageView};
+use isinglass_core::volume::{Detail, Occlusion, Page, PageView};
 use isinglass_net::{AfterWork, Work};
 use isinglass_render::{Piece, Renderer};
 use tokio::sync::mpsc;
@@ -104,6 +104,21 @@ impl RenderThread {
         let work = match job {
             Job::Frame(job) => Waiting::Frame(job),
             Job::Rows(job) => Waiting::Rows(job),
+            Job::Light { scene, lit, pages, reply } => {
+                let dark = if scene == self.scene { self.light(&lit, &pages) } else { Vec::new() };
+                let _ = reply.send(dark);
+                return;
+            }
+            Job::ForgetPages { scene, reply } => {
+                if scene == self.scene {
+                    self.paged = None;
+                    if let Err(e) = self.show(None) {
+                        tracing::error!("the pages stay: {e}");
+                    }
+                }
+                let _ = reply.send(());
+                return;
+            }
             Job::Replace { state, reply } => {
                 *self = *state;
                 let _ = reply.send(());
@@ -283,6 +298,21 @@ impl RenderThread {
         Ok(self.renderer.set_scene(scene)?)
     }
 
+    /// Shows pages that are lit. Returns some that the light of `lit` has not reached.
+    fn light(&mut self, lit: &Scene, pages: &[LitPage]) -> Vec<Arc<Page>> {
+        let Some(paged) = &mut self.paged else { return Vec::new() };
+        if !pages.is_empty() {
+            *paged = paged.with_lit_pages(pages);
+            // The renderer keeps no brightness that nobody shows any more.
+            let scene = self.renderer.scene().with_lit_pages(pages);
+            if let Err(e) = self.renderer.set_scene(scene) {
+                tracing::error!("pages keep their light: {e}");
+                return Vec::new();
+            }
+        }
+        paged.pages_to_light(lit, PAGES_AT_ONCE)
+    }
+
     fn is_final(&self) -> bool {
         self.renderer.scene().is_final()
     }
@@ -290,6 +320,8 @@ impl RenderThread {
 
 /// Time of a turn while others wait.
 const TURN: Duration = Duration::from_millis(10);
+/// Pages that are lit in a piece, beside the frames.
+const PAGES_AT_ONCE: usize = 64;
 /// Most pixels of a picture in a piece.
 const CPU_PIXELS: u32 = 1 << 16;
 const GPU_PIXELS: u32 = 1 << 20;

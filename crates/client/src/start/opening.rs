@@ -108,6 +108,7 @@ impl Opening {
         wake: &Waker,
     ) -> Self {
         request.foreign_files |= servers.allows_foreign_files();
+        request.index_folder = servers.index_folder();
         let name = std::path::Path::new(&request.source)
             .file_name()
             .map_or_else(|| request.source.clone(), |n| n.to_string_lossy().into_owned());

@@ -1,5 +1,6 @@
 //! Arguments for a volume and a part of it, and opening it.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
@@ -79,6 +80,13 @@ impl VolumeArgs {
             open(source, &OpenOptions { progress: Some(progress), ..options })
         })?;
         Ok((volume, before))
+    }
+
+    /// Opens the volume within a limit of memory, by pages if it does not fit.
+    pub(crate) fn open_to_draw(&self, memory: &MemoryArgs) -> Result<Volume> {
+        let reading = self.part.reading();
+        let options = OpenOptions { by_pages: true, max_bytes: memory.bytes(), ..self.options(&reading) };
+        Ok(open(self.source()?, &options)?)
     }
 
     /// The same volume at another time.
@@ -278,7 +286,8 @@ pub(crate) fn open_volume(
 
 /// Opens a volume to serve within a memory limit, with the rest of its file; large files show their progress.
 pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
-    let request = volume.volume_source()?.request(memory.bytes());
+    let mut request = volume.volume_source()?.request(memory.bytes());
+    request.index_folder = index_folder().map(Path::to_owned);
     let options = request.options();
     let loader = FileLoader::new(&request, look.tf.as_deref())?;
     let before = loader.outline(request.selection, 0).map_err(|e| anyhow!(e))?;
