@@ -22,17 +22,15 @@ use isinglass_core::space::Aabb;
 use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{
-    Finest, Histogram, Lighting, PAGE_VOXELS, Page, PageError, PageId, PageProgress, PageSet, PageSource, PageVoxels, Paging, Pyramid,
-    PyramidLevel, SlabMode, Slice, SlicePlane, SliceSpec, ValuesAt, Volume, VolumeInfo, VoxelKind, Voxels,
-    page_of,
+    Finest, Histogram, Lighting, PAGE_VOXELS, Page, PageError, PageId, PageProgress, PageSet, PageSource,
+    PageVoxels, Paging, Pyramid, PyramidLevel, SlabMode, Slice, SlicePlane, SliceSpec, ValuesAt, Volume,
+    VolumeInfo, VoxelKind, Voxels, page_of,
 };
 use isinglass_core::wire::{Choices, Part, ProfileRequest};
 use isinglass_formats::default_transfer;
 use isinglass_net::{Client, ClientOptions};
 use isinglass_render::Backend;
-use isinglass_server::{
-    Library, Loaded, Loader, RunningServer, ServeOptions, Survey, Timing, start,
-};
+use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, Timing, start};
 use tokio::runtime::Runtime;
 
 const SIDE: u32 = 200;
@@ -164,7 +162,8 @@ impl Stage {
             let progress = self.client().talk().pages.progress().unwrap_or_default();
             was_refining |= refresh.frame.is_some() && progress.is_loading();
             let rests = matches!(refresh.standing, Standing::Exact | Standing::Settled);
-            let is_here = |frame: &LayeredFrame| frame.header.camera.pose.eye.distance(pose.eye) < 1e-3 * distance;
+            let is_here =
+                |frame: &LayeredFrame| frame.header.camera.pose.eye.distance(pose.eye) < 1e-3 * distance;
             let frame = refresh.frame.filter(|frame| rests && frame.is_exact && is_here(&frame.frame));
             if let Some(frame) = frame {
                 let (standing, frame) = (refresh.standing, frame.frame.clone());
@@ -321,7 +320,14 @@ struct Film {
 fn choices(time: u32) -> Choices {
     let shown =
         Part { channel: Some(0), time: Some(time), level: Some(0), series: Some(0), ..Part::default() };
-    Choices { shown, whole_dims: [SIDE; 3], num_channels: 1, num_times: 3, num_series: 1, ..Choices::default() }
+    Choices {
+        shown,
+        whole_dims: [SIDE; 3],
+        num_channels: 1,
+        num_times: 3,
+        num_series: 1,
+        ..Choices::default()
+    }
 }
 
 impl Loader for Film {

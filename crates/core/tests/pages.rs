@@ -5,8 +5,8 @@
 use std::sync::Arc;
 
 use glam::Vec3;
-use isinglass_core::cancel::ALWAYS;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::channels::{Blend, ChannelLook, Channels};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::image_error::compare;
@@ -17,8 +17,9 @@ use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::{
-    Detail, FoundVoxel, Finest, Histogram, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, Pyramid, SlabMode, Slice, SlicePlane, SliceSpec, ValuesAt, PyramidLevel, Volume, VolumeInfo, VoxelKind,
-    Voxels, page_of,
+    Detail, Finest, FoundVoxel, Histogram, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, Pyramid,
+    PyramidLevel, SlabMode, Slice, SlicePlane, SliceSpec, ValuesAt, Volume, VolumeInfo, VoxelKind, Voxels,
+    page_of,
 };
 
 /// Waves and balls: nothing is flat or symmetric.
@@ -391,7 +392,10 @@ fn slices_of_all_pages_are_those_of_the_volume() {
         let spec = slices(&whole)[4];
         let values = PageValues::known(&base, pyramid, &none).reading(0, &fails);
         let (torn, level) = Slice::of_pages(&values, &spec, ALWAYS).unwrap();
-        assert!(level == 2 && torn != Slice::of(&whole, &spec, ALWAYS).unwrap(), "a page that cannot be read");
+        assert!(
+            level == 2 && torn != Slice::of(&whole, &spec, ALWAYS).unwrap(),
+            "a page that cannot be read"
+        );
         assert_eq!(Slice::of_pages(&values, &spec, &|| false), None, "nobody waits");
     }
 }

@@ -119,10 +119,21 @@ pub(crate) enum Job {
     Frame(Box<FrameJob>),
     Rows(Box<RowsJob>),
     /// Shows pages that are lit, and answers with some that the light of a scene has not reached.
-    Light { scene: SceneNumber, lit: Box<Scene>, pages: Vec<LitPage>, reply: oneshot::Sender<Vec<Arc<Page>>> },
+    Light {
+        scene: SceneNumber,
+        lit: Box<Scene>,
+        pages: Vec<LitPage>,
+        reply: oneshot::Sender<Vec<Arc<Page>>>,
+    },
     /// Forgets all pages until the next frame.
-    ForgetPages { scene: SceneNumber, reply: oneshot::Sender<()> },
-    Replace { state: Box<RenderThread>, reply: oneshot::Sender<()> },
+    ForgetPages {
+        scene: SceneNumber,
+        reply: oneshot::Sender<()>,
+    },
+    Replace {
+        state: Box<RenderThread>,
+        reply: oneshot::Sender<()>,
+    },
 }
 
 pub(crate) type Reply<T> = oneshot::Sender<Result<T, GenerateError>>;
@@ -287,7 +298,8 @@ impl Generator {
         background: Option<[f32; 3]>,
     ) -> Option<Result<Vec<u8>, GenerateError>> {
         let _turn = self.pictures.acquire().await.ok()?;
-        let lit = if look.lighting.is_on() { Some(lights.scene(look, Some((self, scene))).await?) } else { None };
+        let lit =
+            if look.lighting.is_on() { Some(lights.scene(look, Some((self, scene))).await?) } else { None };
         let (mut srgb, mut first, mut has_failed, mut num_pixels) = (Vec::new(), 0, false, None);
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();

@@ -233,9 +233,7 @@ const FEW_PAGES: f64 = 64.0;
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
-    use isinglass_core::volume::{
-        PyramidLevel, SlabMode, SlicePlane, VolumeInfo, VoxelKind, Voxels,
-    };
+    use isinglass_core::volume::{PyramidLevel, SlabMode, SlicePlane, VolumeInfo, VoxelKind, Voxels};
 
     use super::*;
 

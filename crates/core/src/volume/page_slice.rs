@@ -8,7 +8,9 @@ use rayon::prelude::*;
 
 use super::page_values::{PageCursor, PageValues, SLACK};
 use super::pyramid::PAGE_CELLS;
-use super::slice::{Coding, MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceGrid, SlicePlane, SliceSpec, across, add, end};
+use super::slice::{
+    Coding, MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceGrid, SlicePlane, SliceSpec, across, add, end,
+};
 use crate::cancel::Wanted;
 
 /// The layers of a slab, over indices of the finest level.
@@ -67,11 +69,7 @@ impl Layers {
 impl Slice {
     /// Makes a slice of pages, and says the coarsest level that it has values of; `None` if nobody waits for it any more.
     /// It is as [`Slice::of`] the finest level, where that is known or can be read.
-    pub fn of_pages(
-        values: &PageValues<'_>,
-        spec: &SliceSpec,
-        wanted: Wanted<'_>,
-    ) -> Option<(Self, u8)> {
+    pub fn of_pages(values: &PageValues<'_>, spec: &SliceSpec, wanted: Wanted<'_>) -> Option<(Self, u8)> {
         let base = values.base();
         let spacing = base.finest_spacing();
         let grid = spec.grid(base.finest_dims(), spacing);
@@ -117,7 +115,13 @@ struct Tile<'a> {
 }
 
 impl Tile<'_> {
-    fn fill(&mut self, layers: &Layers, cursor: &mut PageCursor<'_>, values: &PageValues<'_>, mode: SlabMode) {
+    fn fill(
+        &mut self,
+        layers: &Layers,
+        cursor: &mut PageCursor<'_>,
+        values: &PageValues<'_>,
+        mode: SlabMode,
+    ) {
         let spacing = values.base().finest_spacing();
         let mut nums = vec![0u32; self.columns.len() * self.rows.len()];
         for n in 0..layers.num() {

@@ -213,8 +213,7 @@ impl PageCursor<'_> {
     pub(super) fn index_of(&self, point: Vec3, slack: Vec3) -> Option<Vec3> {
         let base = self.values.base;
         let bounds = base.bounds();
-        let is_inside =
-            point.cmpge(bounds.min - slack).all() && point.cmple(bounds.max + slack).all();
+        let is_inside = point.cmpge(bounds.min - slack).all() && point.cmple(bounds.max + slack).all();
         let dims = Vec3::from_array(base.finest_dims().map(|d| d as f32));
         let index = point / base.finest_spacing() + dims * 0.5 - 0.5;
         is_inside.then(|| index.clamp(Vec3::ZERO, dims - 1.0))

@@ -35,13 +35,16 @@ impl ArrayValues {
         let is_finite = |x: &f64| x.is_finite();
         let number = |key: &str| attributes[key].as_f64().filter(is_finite);
         let numbers = |key: &str| -> Vec<f64> {
-            let list = attributes[key].as_array().map(|list| list.iter().take(MOST_NUMBERS).filter_map(Value::as_f64));
+            let list = attributes[key]
+                .as_array()
+                .map(|list| list.iter().take(MOST_NUMBERS).filter_map(Value::as_f64));
             list.map_or_else(|| number(key).into_iter().collect(), |list| list.filter(is_finite).collect())
         };
         let slope = number("scale_factor").filter(|slope| *slope != 0.0).unwrap_or(1.0);
         let intercept = number("add_offset").unwrap_or(0.0);
         let value = |number: f64| slope * number + intercept;
-        let mut missing: Vec<f64> = ["missing_value", "_FillValue"].into_iter().flat_map(numbers).map(value).collect();
+        let mut missing: Vec<f64> =
+            ["missing_value", "_FillValue"].into_iter().flat_map(numbers).map(value).collect();
         missing.dedup();
         let range = numbers("valid_range");
         let end = |i: usize, key: &str| range.get(i).copied().or_else(|| number(key));
