@@ -30,13 +30,13 @@ pub struct SlicesClient {
     /// The volume, and the look version with which it came.
     volume: Option<(LookVersion, VolumeDescription)>,
     /// The last used is at the end.
-    kept: VecDeque<Kept>,
+    kept: VecDeque<KeptSlice>,
     num_kept_bytes: usize,
 }
 
 /// A slice that has come.
 #[derive(Debug)]
-struct Kept {
+struct KeptSlice {
     spec: SliceSpec,
     slice: Arc<Slice>,
     /// Whether a finer one follows.
@@ -167,7 +167,7 @@ impl SlicesClient {
             self.num_kept_bytes -= before.slice.num_bytes();
         }
         self.num_kept_bytes += slice.num_bytes();
-        self.kept.push_back(Kept { spec, slice: Arc::new(slice), is_draft });
+        self.kept.push_back(KeptSlice { spec, slice: Arc::new(slice), is_draft });
         while self.num_kept_bytes > MAX_KEPT_BYTES || self.kept.len() > MAX_KEPT {
             let Some(oldest) = self.kept.pop_front() else { break };
             self.num_kept_bytes -= oldest.slice.num_bytes();

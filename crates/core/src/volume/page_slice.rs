@@ -9,7 +9,8 @@ use rayon::prelude::*;
 use super::page_values::{PageCursor, PageValues, SLACK};
 use super::pyramid::PAGE_CELLS;
 use super::slice::{
-    Coding, MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceGrid, SlicePlane, SliceSpec, across, add, end,
+    MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceCoding, SliceGrid, SlicePlane, SliceSpec, across, add,
+    end,
 };
 use crate::cancel::Wanted;
 
@@ -100,7 +101,7 @@ impl Slice {
         // Finer pages may have numbers that a coarser level has not.
         let (lo, hi) = base.stored_range();
         let range = stored.iter().fold((lo, hi), |(lo, hi), v| (lo.min(*v as f32), hi.max(*v as f32)));
-        let slice = Coding::of(base, spec, range).slice(base, grid.size, &stored);
+        let slice = SliceCoding::of(base, spec, range).slice(base, grid.size, &stored);
         Some((slice, coarsest.into_inner()))
     }
 }

@@ -192,7 +192,7 @@ impl Slice {
     pub fn of(volume: &Volume, spec: &SliceSpec, wanted: Wanted<'_>) -> Option<Self> {
         let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
         let grid = spec.grid(dims, spacing);
-        let coding = Coding::of(volume, spec, volume.stored_range());
+        let coding = SliceCoding::of(volume, spec, volume.stored_range());
         let stored = match volume.voxels() {
             Voxels::U8(v) => values(volume, v, spec, &grid, wanted),
             Voxels::U16(v) => values(volume, v, spec, &grid, wanted),
@@ -203,14 +203,14 @@ impl Slice {
 }
 
 /// How stored numbers become codes.
-pub(super) struct Coding {
+pub(super) struct SliceCoding {
     /// The number of code 0, and codes of a step of 1.
     lo: f32,
     scale: f32,
     is_byte: bool,
 }
 
-impl Coding {
+impl SliceCoding {
     /// The codes of a slice of `volume` with numbers of a range.
     pub(super) fn of(volume: &Volume, spec: &SliceSpec, (lo, hi): (f32, f32)) -> Self {
         let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
