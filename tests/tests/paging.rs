@@ -322,7 +322,7 @@ fn choices(time: u32) -> Choices {
         Part { channel: Some(0), time: Some(time), level: Some(0), series: Some(0), ..Part::default() };
     Choices {
         shown,
-        whole_dims: [SIDE; 3],
+        whole_dims: [SIDE.into(); 3],
         num_channels: 1,
         num_times: 3,
         num_series: 1,

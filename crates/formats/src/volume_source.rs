@@ -53,7 +53,7 @@ impl VolumeSource {
     /// A request to load it within a limit of memory.
     pub fn request(self, max_bytes: u64) -> LoadRequest {
         let Self { source, raw, selection, spacing, foreign_files, reading } = self;
-        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, reading, index_folder: None }
+        LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, reading }
     }
 }
 

@@ -14,6 +14,7 @@ use isinglass_formats::{
 };
 use isinglass_server::{Library, Loaded, Loader, Survey};
 
+use crate::local::index_folder;
 use crate::memory;
 
 pub(crate) struct FileLoader {
@@ -73,7 +74,7 @@ impl FileLoader {
     }
 
     fn options(&self, selection: Selection) -> OpenOptions<'_> {
-        OpenOptions { selection, ..self.request.options() }
+        OpenOptions { selection, index_folder: index_folder(), ..self.request.options() }
     }
 }
 

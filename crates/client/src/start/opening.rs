@@ -108,7 +108,6 @@ impl Opening {
         wake: &Waker,
     ) -> Self {
         request.foreign_files |= servers.allows_foreign_files();
-        request.index_folder = servers.index_folder();
         let name = std::path::Path::new(&request.source)
             .file_name()
             .map_or_else(|| request.source.clone(), |n| n.to_string_lossy().into_owned());
@@ -230,7 +229,7 @@ impl Opening {
     fn read(&mut self, local: Local, outline: Outline) -> OpeningStep {
         self.name.clone_from(&outline.name);
         let wake = self.wake.clone();
-        let loading = Loading::start(local.request.clone(), move || wake());
+        let loading = Loading::start(local.request.clone(), local.servers.index_folder(), move || wake());
         self.outline = Some(outline);
         OpeningStep::Reading(local, loading)
     }

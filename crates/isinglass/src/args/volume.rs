@@ -1,6 +1,5 @@
 //! Arguments for a volume and a part of it, and opening it.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
@@ -286,9 +285,8 @@ pub(crate) fn open_volume(
 
 /// Opens a volume to serve within a memory limit, with the rest of its file; large files show their progress.
 pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
-    let mut request = volume.volume_source()?.request(memory.bytes());
-    request.index_folder = index_folder().map(Path::to_owned);
-    let options = request.options();
+    let request = volume.volume_source()?.request(memory.bytes());
+    let options = OpenOptions { index_folder: index_folder(), ..request.options() };
     let loader = FileLoader::new(&request, look.tf.as_deref())?;
     let before = loader.outline(request.selection, 0).map_err(|e| anyhow!(e))?;
     let opened = show_progress(&before, |progress| {
