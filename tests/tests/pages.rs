@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use glam::Vec3;
+use isinglass_core::cancel::ALWAYS;
 use isinglass_core::channels::{Blend, ChannelLook, Channels};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::image_error::compare;
@@ -13,7 +14,10 @@ use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::{Lighting, Volume, VoxelKind, Voxels};
+use isinglass_core::volume::{
+    Detail, FoundVoxel, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, SlabMode, Slice, SlicePlane, SliceSpec,
+    ValuesAt, Volume, VoxelKind, Voxels, page_of,
+};
 use isinglass_tests::levels::{
     Levels, cameras, coarser, other_channel, pinned, settings, transfer, volume_of,
 };
@@ -174,4 +178,134 @@ fn a_ramp_of_the_world_is_the_same_at_every_level() {
         // Without its place in the finest level, a level of odd sides is half a fine voxel aside.
         assert!(worst < 1e-4 && worst_of_own > 0.5, "{factor:?}: {worst} {worst_of_own}");
     }
+}
+
+fn slices(whole: &Volume) -> Vec<SliceSpec> {
+    let axis = |axis: u8, index, thickness, mode| SliceSpec {
+        plane: SlicePlane::Axis { axis, index },
+        thickness,
+        mode,
+    };
+    let step = whole.spacing().min_element();
+    let oblique = |thickness, mode| SliceSpec {
+        plane: SlicePlane::Oblique {
+            origin: (whole.bounds().min * 1.1).to_array(),
+            column: [step * 1.3, step * 0.6, 0.1 * step],
+            row: [-0.2 * step, 0.7 * step, step],
+            size: [130, 90],
+        },
+        thickness,
+        mode,
+    };
+    let mut specs = vec![oblique(0.0, SlabMode::Mean), oblique(9.0 * step, SlabMode::Mean)];
+    specs.push(oblique(4.0 * step, SlabMode::Min));
+    for (a, index) in [(0, 63), (0, 64), (1, 65), (1, 0), (2, 20), (2, 9999)] {
+        specs.push(axis(a, index, 0.0, SlabMode::Mean));
+    }
+    specs.extend([axis(0, 66, 11.0, SlabMode::Mean), axis(2, 30, 7.0, SlabMode::Max)]);
+    specs
+}
+
+/// What stands for a page of the finest level in a set.
+fn finder(set: &PageSet) -> impl Fn([u32; 3]) -> Arc<Page> + Sync {
+    |at| set.pages()[set.slot(at)].clone()
+}
+
+#[test]
+fn slices_of_all_pages_are_those_of_the_volume() {
+    for kind in [VoxelKind::U8, VoxelKind::U16, VoxelKind::F32] {
+        let whole = volume_of([150, 90, 70], Vec3::new(1.0, 1.25, 0.8), kind);
+        let levels = Levels::of(&whole, &[[1; 3], [2, 2, 1], [4, 4, 2]]);
+        let (base, pyramid) = (levels.base(), &*levels.pyramid);
+        let (all, none) = (levels.set(|_| true), levels.set(|_| false));
+        let (all, none) = (finder(&all), finder(&none));
+        let voxels_of = |id: PageId| page_of(&levels.volumes[usize::from(id.level)], pyramid.first_point(id));
+        let read = |id: PageId| Some(voxels_of(id));
+        let fails = |id: PageId| (id.at != [1, 0, 0]).then(|| voxels_of(id));
+        for spec in slices(&whole) {
+            let flat = Slice::of(&whole, &spec, ALWAYS).unwrap();
+            let of = |values: PageValues<'_>| Slice::of_pages(&values, &spec, ALWAYS).unwrap();
+            assert_eq!(of(PageValues::known(&base, pyramid, &all)), (flat.clone(), 0), "{kind:?} {spec:?}");
+            let read = of(PageValues::known(&base, pyramid, &none).reading(0, &read));
+            assert_eq!(read, (flat.clone(), 0), "{kind:?} {spec:?}: read for this alone");
+            // The control: coarser pages are near, and say so.
+            let (coarse, level) = of(PageValues::known(&base, pyramid, &none));
+            assert!(coarse.size == flat.size && coarse != flat && level == 2, "{kind:?} {spec:?}");
+            let (torn, _) = of(PageValues::known(&base, pyramid, &none).reading(0, &fails));
+            assert_eq!(torn.size, flat.size);
+        }
+        let spec = slices(&whole)[4];
+        let values = PageValues::known(&base, pyramid, &none).reading(0, &fails);
+        let (torn, level) = Slice::of_pages(&values, &spec, ALWAYS).unwrap();
+        assert!(
+            level == 2 && torn != Slice::of(&whole, &spec, ALWAYS).unwrap(),
+            "a page that cannot be read"
+        );
+        assert_eq!(Slice::of_pages(&values, &spec, &|| false), None, "nobody waits");
+    }
+}
+
+#[test]
+fn points_of_pages_are_those_of_the_volume() {
+    let whole = volume_of([150, 90, 70], Vec3::new(1.0, 1.25, 0.8), VoxelKind::F32);
+    let levels = Levels::of(&whole, &[[1; 3], [2, 2, 1], [4, 4, 2]]);
+    let (base, pyramid) = (levels.base(), &*levels.pyramid);
+    let some = levels.set(|id| id.level == 0 && id.at[0] == 0);
+    let find = finder(&some);
+    let read = |id: PageId| -> Option<PageVoxels> {
+        Some(page_of(&levels.volumes[usize::from(id.level)], pyramid.first_point(id)))
+    };
+    let known = PageValues::known(&base, pyramid, &find);
+    let full = PageValues::known(&base, pyramid, &find).reading(0, &read);
+    let (mut known, mut full, mut flat) = (known.cursor(), full.cursor(), &whole);
+    let (bounds, mut num_coarse) = (whole.bounds(), 0);
+    for i in 0..2000u32 {
+        let share = Vec3::new((i % 37) as f32 / 36.0, (i % 41) as f32 / 40.0, (i % 43) as f32 / 42.0);
+        let point = bounds.min + (bounds.max - bounds.min) * share;
+        let voxel = flat.voxel(point).unwrap();
+        assert_eq!(full.voxel(point), Some(voxel), "{point}");
+        assert_eq!(full.between(point), flat.between(point), "{point}");
+        let found: FoundVoxel = known.voxel(point).unwrap();
+        assert_eq!(found.index, voxel.index);
+        assert!(found.level == 2 || found == voxel, "the finest that is known, or it says so");
+        num_coarse += usize::from(found.level == 2);
+    }
+    assert!(num_coarse > 500 && num_coarse < 1500, "{num_coarse}");
+    assert_eq!((known.coarsest(), full.coarsest()), (2, 0));
+    let outside = bounds.max + 1.0;
+    assert_eq!((full.voxel(outside), full.between(outside)), (None, None));
+}
+
+#[test]
+fn light_in_pieces_is_the_light_at_once() {
+    let whole = volume_of([130, 90, 70], Vec3::ONE, VoxelKind::U8);
+    let levels = Levels::of(&whole, &[[1; 3], [2; 3]]);
+    let set = levels.set(|id| id.level == 0 && id.at != [1, 1, 0]);
+    let base = Arc::new(levels.base());
+    let dim = Lighting { ambient_occlusion: 0.9, shadows: 0.7, ..Lighting::default() };
+    let lit_by = |lighting| Scene::new(base.clone(), &transfer(), settings(Mode::Composite, lighting));
+    let before = lit_by(Lighting::default()).with_pages(set.clone(), None);
+    let after = lit_by(dim);
+    let at_once = after.with_pages(set.clone(), None);
+    // What is shown while the light of the pages is worked out.
+    let draft = MarchSettings { detail: Detail::Draft, ..after.settings };
+    let mut shown = Scene::new(base.clone(), &transfer(), draft).with_pages(set.clone(), Some(&before));
+    let camera = cameras(&after)[0];
+    assert!(!shown.is_final());
+    let (mut num_pieces, num_pages) = (0, set.pages().len());
+    loop {
+        let dark = shown.pages_to_light(&after, 5);
+        if dark.is_empty() {
+            break;
+        }
+        assert!(dark.len() <= 5 && num_pieces < num_pages, "each piece is a step");
+        shown = shown.with_lit_pages(&after.light_pages(dark));
+        num_pieces += 1;
+    }
+    assert_eq!(num_pieces, num_pages.div_ceil(5));
+    let in_pieces = after.with_pages(set.clone(), Some(&shown));
+    assert!(in_pieces.is_final() && at_once.is_final());
+    same(&render(&in_pieces, &camera), &render(&at_once, &camera), "in pieces");
+    // The control: the light before is another one.
+    assert!(psnr(&render(&before, &camera), &render(&at_once, &camera)) < 45.0);
 }

@@ -1,6 +1,7 @@
 //! Opens a volume on its own thread, so that a window never waits.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, mpsc};
 use std::thread;
@@ -42,9 +43,9 @@ impl LoadRequest {
 
     /// The options to open it with. A volume that does not fit is read by pages.
     pub fn options(&self) -> OpenOptions<'_> {
-        let &Self { source: _, raw, selection, spacing, max_bytes, foreign_files, ref reading } = self;
-        let options = OpenOptions::default();
-        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, reading, by_pages: true, ..options }
+        let &Self { raw, selection, spacing, max_bytes, foreign_files, ref reading, .. } = self;
+        let options = OpenOptions { by_pages: true, ..OpenOptions::default() };
+        OpenOptions { raw, selection, spacing, max_bytes, foreign_files, reading, ..options }
     }
 }
 
@@ -63,8 +64,12 @@ struct Shared {
 }
 
 impl Loading {
-    /// Starts to open a volume. `wake` is called once, on the loading thread, when [`Loading::poll`] has an answer.
-    pub fn start(request: LoadRequest, wake: impl FnOnce() + Send + 'static) -> Self {
+    /// Starts to open a volume, with the folder of indices of volumes that were read before. `wake` is called once, on the loading thread, when [`Loading::poll`] has an answer.
+    pub fn start(
+        request: LoadRequest,
+        index_folder: Option<PathBuf>,
+        wake: impl FnOnce() + Send + 'static,
+    ) -> Self {
         let shared = Arc::new(Shared::default());
         let (sender, result) = mpsc::sync_channel(1);
         let theirs = Arc::clone(&shared);
@@ -73,7 +78,8 @@ impl Loading {
             let progress = |fraction: f32| theirs.progress.store(fraction.to_bits(), Ordering::Relaxed);
             let cancel = Some(&theirs.cancel);
             let progress = Some(&progress as &dyn Fn(f32));
-            let options = OpenOptions { progress, cancel, ..request.options() };
+            let index_folder = index_folder.as_deref();
+            let options = OpenOptions { progress, cancel, index_folder, ..request.options() };
             // A panic must not leave the window waiting.
             let opened = catch_unwind(AssertUnwindSafe(|| open(source, &options)));
             let opened = opened.unwrap_or_else(|_| {
@@ -133,7 +139,7 @@ mod tests {
         };
         let request = LoadRequest { raw: Some(raw), ..LoadRequest::new(path.to_str().unwrap()) };
         let (wake, woken) = mpsc::sync_channel(1);
-        let loading = Loading::start(request.clone(), move || wake.send(()).unwrap());
+        let loading = Loading::start(request.clone(), None, move || wake.send(()).unwrap());
         let (volume, progress) = finished(&loading, &woken);
         assert_eq!((volume.unwrap().dims(), progress), ([64; 3], 1.0));
         assert!(loading.poll().is_none());
@@ -142,7 +148,7 @@ mod tests {
         let e = open(&request.source, &options).unwrap_err();
         assert!(matches!(e, FormatError::Cancelled { .. }) && e.to_string().ends_with("a.raw: cancelled"));
         let (wake, woken) = mpsc::sync_channel(1);
-        let loading = Loading::start(LoadRequest::new("nowhere.nrrd"), move || wake.send(()).unwrap());
+        let loading = Loading::start(LoadRequest::new("nowhere.nrrd"), None, move || wake.send(()).unwrap());
         assert!(finished(&loading, &woken).0.unwrap_err().to_string().contains("nowhere.nrrd"));
     }
 }

@@ -24,6 +24,40 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FormatError> {
     write(resolved(path)).map_err(io_error(path))
 }
 
+/// Writes `bytes` to a file. They are on the disk when this returns, so that a power cut loses none of them.
+pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
+/// Brings the names in a folder and in those below it to the disk.
+pub(crate) fn sync_folders(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            sync_folders(&entry.path())?;
+        }
+    }
+    sync_folder(folder)
+}
+
+/// Brings the names in a folder to the disk.
+#[cfg(unix)]
+pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
+    match File::open(folder)?.sync_all() {
+        // Some file systems cannot.
+        Err(e) if e.kind() == ErrorKind::InvalidInput || e.kind() == ErrorKind::Unsupported => Ok(()),
+        done => done,
+    }
+}
+
+/// Only Unix opens folders.
+#[cfg(not(unix))]
+pub(crate) fn sync_folder(_: &Path) -> io::Result<()> {
+    Ok(())
+}
+
 /// Writes `bytes` to a new file, which appears under its name as a whole.
 ///
 /// # Errors

@@ -3,6 +3,7 @@
 use isinglass_core::volume::{Volume, Voxels};
 use rayon::prelude::*;
 
+use crate::decode::single;
 use crate::units::may_be_hounsfield;
 
 /// The values of which a file says that they stand for none.
@@ -15,18 +16,29 @@ pub(crate) struct Missing {
     pub(crate) what: &'static str,
 }
 
-impl Missing {
-    /// Whether one number cannot tell all.
-    pub(crate) fn are_several(&self) -> bool {
-        let mut finite = self.values.iter().filter(|value| value.is_finite());
-        let first = finite.next();
-        self.valid.is_some() || finite.any(|value| Some(value) != first)
-    }
-}
-
 impl Default for Missing {
     fn default() -> Self {
         Self { values: Vec::new(), valid: None, what: "outside of the scanned part" }
+    }
+}
+
+/// The numbers of a file that stand for no value, as the file has them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct GapNumbers {
+    pub(crate) numbers: Vec<f64>,
+    /// The least and the greatest number that is a value.
+    pub(crate) valid: Option<(f64, f64)>,
+}
+
+impl GapNumbers {
+    pub(crate) fn contains(&self, x: f64) -> bool {
+        self.numbers.contains(&x) || self.valid.is_some_and(|(lo, hi)| x < lo || x > hi)
+    }
+
+    /// The same in single precision, by which readers compare floats.
+    pub(crate) fn in_single(&self) -> Self {
+        let valid = self.valid.map(|(lo, hi)| (single(lo).into(), single(hi).into()));
+        Self { numbers: self.numbers.iter().map(|x| single(*x).into()).collect(), valid }
     }
 }
 

@@ -59,8 +59,7 @@ impl VolumeSource {
 
 impl From<LoadRequest> for VolumeSource {
     fn from(request: LoadRequest) -> Self {
-        let LoadRequest { source, raw, selection, spacing, max_bytes: _, foreign_files: _, reading } =
-            request;
+        let LoadRequest { source, raw, selection, spacing, reading, .. } = request;
         Self { raw, selection, spacing, reading, ..Self::new(source) }
     }
 }

@@ -170,14 +170,8 @@ fn every_format_becomes_the_same_volume() {
             let name = format!("{archive}/{}", before.name);
             let target = out.path().join(format!("{num}.ome.zarr"));
             let done = converted(&source, &target, &OpenOptions::default());
-            let notes = done.unwrap_or_else(|e| panic!("{name}: {e}")).notes;
-            // What is outside of a valid range becomes a value, which is told.
-            let is_told = notes.iter().any(|note| note.contains("several numbers for no value"));
-            assert_eq!(is_told, before.name == "ocean.nc", "{name}: {notes:?}");
+            done.unwrap_or_else(|e| panic!("{name}: {e}"));
             num += 1;
-            if is_told {
-                continue;
-            }
             for channel in 0..before.num_channels as u32 {
                 for time in 0..before.num_times as u32 {
                     let selection = part(channel, time, 0);

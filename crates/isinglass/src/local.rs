@@ -57,6 +57,10 @@ impl LocalServers for Locals {
         self.foreign_files
     }
 
+    fn index_folder(&self) -> Option<PathBuf> {
+        index_folder().map(Path::to_owned)
+    }
+
     fn check(&self, outline: &Outline, held: u64) -> Result<(), String> {
         memory::check(&outline.name, outline.bytes_needed(), held, self.max_memory)
     }

@@ -201,6 +201,21 @@ impl Dispatch {
         (place, jobs)
     }
 
+    /// Gives a job to each thread that runs, and waits until all are done.
+    pub(crate) async fn tell_all(&self, job: impl Fn(oneshot::Sender<()>) -> Job) {
+        let running: Vec<_> = self.0.state().slots.iter().filter_map(|slot| slot.jobs.clone()).collect();
+        let mut answers = Vec::new();
+        for jobs in running {
+            let (reply, answer) = oneshot::channel();
+            if jobs.send(job(reply)).await.is_ok() {
+                answers.push(answer);
+            }
+        }
+        for answer in answers {
+            let _ = answer.await;
+        }
+    }
+
     /// Whether anybody else has had work lately at the device of a viewer.
     pub(crate) fn has_others(&self, viewer: ViewerId, now: Instant) -> bool {
         let company = {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use isinglass_core::camera::Camera;
-use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::march::{LitPage, Scene};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
@@ -13,6 +13,7 @@ use isinglass_core::volume::Occlusion;
 use isinglass_gpu::GpuError;
 use isinglass_net::AfterWork;
 use isinglass_render::{Devices, FrameInPieces};
+use rayon::ThreadPool;
 use tokio::sync::{Semaphore, oneshot};
 
 use crate::ServeError;
@@ -30,6 +31,8 @@ pub(crate) struct Generator {
     /// Which thread does whose work.
     pub(crate) dispatch: Dispatch,
     pictures: Arc<Semaphore>,
+    /// Threads that light pages: half of the machine, so that frames go on.
+    lighters: Arc<ThreadPool>,
 }
 
 pub(crate) struct Generated {
@@ -115,6 +118,17 @@ pub(crate) struct FrameOrder {
 pub(crate) enum Job {
     Frame(Box<FrameJob>),
     Rows(Box<RowsJob>),
+    /// Shows pages that are lit.
+    Light {
+        scene: SceneNumber,
+        pages: Arc<[LitPage]>,
+        reply: oneshot::Sender<()>,
+    },
+    /// Forgets all pages until the next frame.
+    ForgetPages {
+        scene: SceneNumber,
+        reply: oneshot::Sender<()>,
+    },
     Replace {
         state: Box<RenderThread>,
         reply: oneshot::Sender<()>,
@@ -178,7 +192,10 @@ impl Generator {
         counters: Counters,
     ) -> Result<Self, ServeError> {
         let dispatch = Dispatch::start(devices, shown, after_work, counters)?;
-        Ok(Self { dispatch, pictures: Arc::new(Semaphore::new(1)) })
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let lighters = rayon::ThreadPoolBuilder::new().num_threads(cores.div_ceil(2));
+        let lighters = Arc::new(lighters.thread_name(|i| format!("light {i}")).build()?);
+        Ok(Self { dispatch, pictures: Arc::new(Semaphore::new(1)), lighters })
     }
 
     /// The ordered frame, while its wish holds. It may be smaller than its header says, to keep to its memory. `None`
@@ -194,6 +211,31 @@ impl Generator {
         let made = answer.await;
         drop(working);
         Some(made.unwrap_or(Err(GenerateError::Moved)))
+    }
+
+    /// Forgets the pages that the threads show, so that their memory is free.
+    pub(crate) async fn forget_pages(&self, scene: SceneNumber, lights: &Lights) {
+        lights.forget_pages();
+        self.dispatch.tell_all(|reply| Job::ForgetPages { scene, reply }).await;
+    }
+
+    /// Lights all pages that were shown last as `lit` does, piece by piece and beside the frames. All threads show each
+    /// piece as soon as it is there, so that no page has two lights for long.
+    pub(crate) async fn light_pages(&self, scene: SceneNumber, lights: &Lights, lit: &Scene) {
+        let mut pages: Arc<[LitPage]> = Arc::new([]);
+        for _ in 0..MAX_PIECES {
+            let dark = lights.pages_to_light(lit, &pages);
+            if !pages.is_empty() {
+                self.dispatch.tell_all(|reply| Job::Light { scene, pages: pages.clone(), reply }).await;
+            }
+            if dark.is_empty() {
+                return;
+            }
+            let (lit, lighters) = (lit.clone(), self.lighters.clone());
+            let work = tokio::task::spawn_blocking(move || lighters.install(|| lit.light_pages(dark)));
+            let Ok(lit) = work.await else { return };
+            pages = lit.into();
+        }
     }
 
     /// The picture from `camera` of a scene under a valid look, by full volume rendering with all shade. It is 8-bit
@@ -212,7 +254,8 @@ impl Generator {
         background: Option<[f32; 3]>,
     ) -> Option<Result<Vec<u8>, GenerateError>> {
         let _turn = self.pictures.acquire().await.ok()?;
-        let lit = if look.lighting.is_on() { Some(lights.scene(look).await?) } else { None };
+        let lit =
+            if look.lighting.is_on() { Some(lights.scene(look, Some((self, scene))).await?) } else { None };
         let (mut srgb, mut first, mut has_failed, mut num_pixels) = (Vec::new(), 0, false, None);
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();
@@ -243,3 +286,5 @@ impl Generator {
 
 /// Time for the rows of a picture, µs: no viewer waits longer for its frame.
 const ROWS_MICROS: u64 = 50_000;
+/// Most pieces in which pages are lit. Other viewers' looks might make them dark again.
+const MAX_PIECES: usize = 1024;

@@ -13,6 +13,7 @@ mod counters;
 mod dispatch;
 mod frame_memory;
 mod generator;
+mod give_up;
 mod lights;
 mod paging;
 mod pipeline;

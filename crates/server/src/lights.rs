@@ -6,10 +6,13 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::march::{LitPage, Scene};
 use isinglass_core::look::Look;
-use isinglass_core::volume::{Detail, Lit, PageSet, Volume};
+use isinglass_core::volume::{Detail, Lit, Page, PageSet, Volume};
 use tokio::sync::Semaphore;
+
+use crate::generator::Generator;
+use crate::selection::SceneNumber;
 
 /// Clones share the scenes.
 #[derive(Clone, Debug)]
@@ -92,24 +95,49 @@ impl Lights {
         scene
     }
 
-    /// The scene of a look, computed if necessary. `None` if that failed.
-    pub(crate) async fn scene(&self, look: &Look) -> Option<Scene> {
+    /// Puts lit pages in the place of those that were shown last, and returns some that the light of `lit` has not
+    /// reached.
+    pub(crate) fn pages_to_light(&self, lit: &Scene, pages: &[LitPage]) -> Vec<Arc<Page>> {
+        let mut newest = lock(&self.paged);
+        let Some(paged) = &mut *newest else { return Vec::new() };
+        if !pages.is_empty() {
+            *paged = paged.with_lit_pages(pages);
+        }
+        paged.pages_to_light(lit, PAGES_AT_ONCE)
+    }
+
+    /// Forgets the pages that were shown last.
+    pub(crate) fn forget_pages(&self) {
+        *lock(&self.paged) = None;
+    }
+
+    /// The scene of a look, computed if necessary. `None` if that failed. Pages that the generator shows are lit, too,
+    /// before any frame has the scene.
+    pub(crate) async fn scene(&self, look: &Look, shown: Option<(&Generator, SceneNumber)>) -> Option<Scene> {
         let turn = self.turns.clone().acquire_owned().await.ok()?;
         if let Some(scene) = self.known(look) {
             return Some(scene);
         }
-        let (look, base, known) = (look.clone(), self.base.clone(), self.known.clone());
+        let (of, base, known) = (look.clone(), self.base.clone(), self.known.clone());
+        let shown = shown.filter(|_| self.is_paged);
+        let is_whole = shown.is_none();
         // The requester may leave meanwhile. The result serves the next one, whose turn comes when this has ended.
         let work = tokio::task::spawn_blocking(move || {
-            let _turn = turn;
             // What the newest look has in common with this one need not be worked out again.
             let newest = lock(&known).last().map_or_else(|| (*base).clone(), |(_, scene)| scene.clone());
             let occlusion = newest.illumination.occlusion();
-            let scene = newest.under(&look, Detail::Final, occlusion.as_ref());
-            remember(&mut lock(&known), look, scene.clone());
-            scene
+            let scene = newest.under(&of, Detail::Final, occlusion.as_ref());
+            if is_whole {
+                remember(&mut lock(&known), of, scene.clone());
+            }
+            (scene, turn)
         });
-        work.await.inspect_err(|e| tracing::error!("no light: {e}")).ok()
+        let (scene, _turn) = work.await.inspect_err(|e| tracing::error!("no light: {e}")).ok()?;
+        if let Some((generator, number)) = shown {
+            generator.light_pages(number, self, &scene).await;
+            remember(&mut self.scenes(), look.clone(), scene.clone());
+        }
+        Some(scene)
     }
 
     fn scenes(&self) -> MutexGuard<'_, Vec<(Look, Scene)>> {
@@ -150,6 +178,8 @@ fn lock<T>(guarded: &Mutex<T>) -> MutexGuard<'_, T> {
 const MIN_KNOWN: usize = 3;
 /// Memory for more of them, bytes. With more looks in use at once, some are computed again.
 const MAX_BYTES: usize = 128 << 20;
+/// Pages that are lit in a piece, beside the frames.
+const PAGES_AT_ONCE: usize = 64;
 /// Tables of a scene, bytes.
 const TABLE_BYTES: usize = 64 << 10;
 

@@ -7,8 +7,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use isinglass_core::kernels::march::{Scene, SeenPages};
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{
-    Page, PageError, PageId, PagePlan, PageProgress, PageRanges, PageSet, PageSource, PageView, Paging,
-    PlanKey, Residency, Volume, VolumeError,
+    Page, PageError, PageId, PagePlan, PageProgress, PageRanges, PageSet, PageSource, PageValues, PageView,
+    Paging, PlanKey, Pyramid, Residency, Volume, VolumeError,
 };
 use tokio::sync::watch;
 
@@ -23,12 +23,14 @@ pub struct FramePages {
     pub rests: bool,
     /// Changes with the pages in memory.
     pub version: u64,
+    /// Whether another part of the file is read, for which the pages made room.
+    pub is_paused: bool,
 }
 
 impl FramePages {
     /// Whether a resting camera will get better ones.
     pub fn is_draft(&self) -> bool {
-        !self.rests || self.progress.is_loading()
+        !self.rests || self.is_paused || self.progress.is_loading()
     }
 }
 
@@ -45,6 +47,7 @@ struct PagerThreads {
     ranges: Option<Arc<dyn PageRanges>>,
     num_channels: usize,
     max_bytes: u64,
+    max_pages: usize,
     state: Mutex<State>,
     /// Notified when there may be something to read.
     work: Condvar,
@@ -57,6 +60,7 @@ struct State {
     /// What the newest looks leave visible, by known values.
     seen: Vec<(Scene, Arc<SeenPages>)>,
     sets: HashMap<PlanKey, (u64, Arc<PageSet>)>,
+    is_paused: bool,
     is_over: bool,
 }
 
@@ -93,15 +97,16 @@ impl Pager {
         let num_channels = base.channels().count();
         let page_bytes = pages.first().map_or(1, |page| page.num_bytes().max(1));
         // The pages of the coarsest level count, too.
-        let max_pages = (max_bytes / page_bytes) as usize;
-        let residency = Residency::new(pyramid, pages.clone(), max_pages.saturating_sub(pages.len()));
-        let (views, seen, sets, is_over) = (HashMap::new(), Vec::new(), HashMap::new(), false);
+        let max_pages = ((max_bytes / page_bytes) as usize).saturating_sub(pages.len());
+        let residency = Residency::new(pyramid, pages, max_pages);
+        let (views, seen, sets) = (HashMap::new(), Vec::new(), HashMap::new());
         let shared = Arc::new(PagerThreads {
             source,
             ranges,
             num_channels,
             max_bytes,
-            state: Mutex::new(State { residency, views, seen, sets, is_over }),
+            max_pages,
+            state: Mutex::new(State { residency, views, seen, sets, is_paused: false, is_over: false }),
             work: Condvar::new(),
             changed: watch::channel(0).0,
         });
@@ -154,7 +159,8 @@ impl Pager {
                 set
             }
         };
-        FramePages { set, progress: state.residency.progress(key), rests: view.rests, version }
+        let (progress, is_paused) = (state.residency.progress(key), state.is_paused);
+        FramePages { set, progress, rests: view.rests, version, is_paused }
     }
 
     /// The pages of a viewer's newest view, as they are now.
@@ -164,7 +170,8 @@ impl Pager {
         let view = &state.views.get(&key)?.0;
         let (version, set) = state.sets.get(&key)?;
         let progress = state.residency.progress(key);
-        Some(FramePages { set: set.clone(), progress, rests: view.rests, version: *version })
+        let is_paused = state.is_paused;
+        Some(FramePages { set: set.clone(), progress, rests: view.rests, version: *version, is_paused })
     }
 
     /// Whether pages of a viewer's view are still to come.
@@ -179,6 +186,53 @@ impl Pager {
         state.residency.forget(key);
         state.views.remove(&key);
         state.sets.remove(&key);
+    }
+
+    /// Gives the memory of all pages back: frames show the coarsest level until this ends.
+    pub(crate) fn pause(&self, is_paused: bool) {
+        let version = {
+            let mut state = self.shared.state();
+            state.is_paused = is_paused;
+            state.residency.set_room(if is_paused { 0 } else { self.shared.max_pages });
+            state.views.clear();
+            state.sets.clear();
+            state.residency.version()
+        };
+        self.shared.changed.send_replace(version);
+        self.shared.work.notify_all();
+    }
+
+    /// Bytes of the pages, at most.
+    pub(crate) fn bytes_held(&self) -> u64 {
+        if self.shared.state().is_paused { 0 } else { self.max_bytes() }
+    }
+
+    /// The levels.
+    pub(crate) fn pyramid(&self) -> &Pyramid {
+        self.shared.source.pyramid()
+    }
+
+    /// What `work` makes of the finest values in memory. `base` is the coarsest level. With a level, pages that are coarser
+    /// are read there for this alone, while they are `wanted`.
+    pub(crate) fn with_values<T>(
+        &self,
+        base: &Volume,
+        level: Option<u8>,
+        wanted: &(dyn Fn() -> bool + Sync),
+        work: impl FnOnce(&PageValues<'_>) -> T,
+    ) -> T {
+        let find = |at: [u32; 3]| self.shared.state().residency.finest(at);
+        let read = |id: PageId| {
+            let may_read = wanted() && !self.shared.state().residency.has_failed(id);
+            let read = || self.shared.source.read(0, id).ok();
+            let read = || catch_unwind(AssertUnwindSafe(read)).ok().flatten();
+            may_read.then(read).flatten().filter(|page| self.pyramid().is_page(page))
+        };
+        let known = PageValues::known(base, self.pyramid(), &find);
+        match level {
+            Some(level) => work(&known.reading(level, &read)),
+            None => work(&known),
+        }
     }
 
     /// Notified when pages come or go.

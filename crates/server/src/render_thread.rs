@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::cancel::Wanted;
 use isinglass_core::codec::MAX_FRAME_SEGMENTS;
-use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::march::{LitPage, Scene};
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::frames::within;
@@ -132,6 +132,22 @@ impl RenderThread {
         let work = match job {
             Job::Frame(job) => Waiting::Frame(job),
             Job::Rows(job) => Waiting::Rows(job),
+            Job::Light { scene, pages, reply } => {
+                if scene == self.scene {
+                    self.light(&pages);
+                }
+                let _ = reply.send(());
+                return None;
+            }
+            Job::ForgetPages { scene, reply } => {
+                if scene == self.scene
+                    && let Err(e) = self.show(None)
+                {
+                    tracing::error!("the pages stay: {e}");
+                }
+                let _ = reply.send(());
+                return None;
+            }
             Job::Replace { state, reply } => {
                 *self = *state;
                 let _ = reply.send(());
@@ -327,6 +343,14 @@ impl RenderThread {
             pager.limit(*most);
         }
         Ok(shown?)
+    }
+
+    /// Shows pages that are lit: the renderer keeps no brightness that nobody shows any more.
+    fn light(&mut self, pages: &[LitPage]) {
+        let scene = self.renderer.scene().with_lit_pages(pages);
+        if let Err(e) = self.renderer.set_scene(scene) {
+            tracing::error!("pages keep their light: {e}");
+        }
     }
 
     fn is_final(&self) -> bool {

@@ -108,10 +108,21 @@ impl Present {
         }
     }
 
-    /// The part as it can be shown again, if viewers can choose parts.
+    /// Bytes that it takes beside another part that is read.
+    fn bytes_held(&self) -> u64 {
+        match &self.pager {
+            Some(pager) => self.lights.volume().bytes_in_memory() + pager.bytes_held(),
+            None => self.bytes,
+        }
+    }
+
+    /// The part as it can be shown again, if viewers can choose parts. One that is read by pages has no memory to wait in.
     fn again(&self) -> Option<Read> {
+        if self.pager.is_some() {
+            return None;
+        }
         let (scene, look) = (self.lights.first_scene().clone(), self.greeting.look.clone());
-        Some(Read { scene, look, parts: self.parts.clone()?, pager: self.pager.clone() })
+        Some(Read { scene, look, parts: self.parts.clone()?, pager: None })
     }
 
     /// Whether values mean the same in both, as they do across times, levels and regions.
@@ -255,11 +266,25 @@ impl SelectionReader {
         }
         match self.ahead.take(&part) {
             Some(read) => self.show(read).await,
-            None => match self.read(part).await {
-                Ok(read) => self.show(read).await,
-                Err(ended) => ended,
-            },
+            None => self.open_beside(part).await,
         }
+    }
+
+    /// Reads a part and shows it. The pages of the present one make room, and come back if it stays.
+    async fn open_beside(&mut self, part: Part) -> Ended {
+        let present = self.present.borrow().clone();
+        if let Some(pager) = &present.pager {
+            pager.pause(true);
+            self.generator.forget_pages(present.scene, &present.lights).await;
+        }
+        let ended = match self.read(part).await {
+            Ok(read) => self.show(read).await,
+            Err(ended) => ended,
+        };
+        if let Some(pager) = present.pager.as_ref().filter(|_| !matches!(ended, Ended::Done)) {
+            pager.pause(false);
+        }
+        ended
     }
 
     /// Reads a part, unless another order arrives first.
@@ -315,7 +340,7 @@ impl SelectionReader {
         let loader = self.loader.clone()?;
         let look = self.present.borrow().greeting.look.clone();
         let known = self.ahead.bytes();
-        let held = self.present.borrow().bytes.saturating_add(known);
+        let held = self.present.borrow().bytes_held().saturating_add(known);
         let cancel = CancelOnDrop::default();
         let progress =
             Arc::new(Progress { is_told: AtomicBool::new(limit.is_none()), ..Progress::default() });

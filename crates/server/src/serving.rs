@@ -2,6 +2,7 @@
 
 mod following;
 mod frames;
+mod inquiries;
 mod pages;
 mod sizes;
 
@@ -33,6 +34,7 @@ use crate::slices::{SliceMakers, Slices};
 use crate::{Attendance, Command};
 
 use following::{Led, next_led};
+use inquiries::Inquiries;
 use sizes::FrameSizes;
 
 /// State that all viewers share.
@@ -123,6 +125,7 @@ struct Viewer {
     refining: Option<(LookVersion, JoinHandle<bool>)>,
     screenshots: Screenshots,
     slices: Slices,
+    inquiries: Inquiries,
     presence: Presence,
     /// Notified when viewers come, leave or follow.
     viewers_changed: watch::Receiver<()>,
@@ -160,6 +163,7 @@ impl Viewer {
         );
         let (frames, control) = (session.frames.clone(), session.control.clone());
         let slices = Slices::new(common.slice_makers.clone(), frames.clone(), control.clone());
+        let inquiries = Inquiries::new(control.clone());
         let pipeline = Pipeline::new(frames, control, session.journal.clone(), &common);
         let held = common.memory.nothing();
         let page_changes = present.pager.as_ref().map(Pager::changes);
@@ -184,6 +188,7 @@ impl Viewer {
             refining: None,
             screenshots,
             slices,
+            inquiries,
             presence,
             viewers_changed,
             led: None,
@@ -267,11 +272,8 @@ impl Viewer {
                 let is_whole = self.present.lights.is_fine(&look);
                 talk.look.begin(now, look, is_whole);
             }
-            if talk.probe.is_asked() {
-                talk.probe.answer(self.present.lights.volume());
-            }
-            if talk.profile.is_asked() {
-                talk.profile.answer(self.present.lights.volume());
+            if talk.probe.is_asked() || talk.profile.is_asked() {
+                self.inquiries.answer(&mut talk, &self.present);
             }
             let quiet = talk.quietly();
             (pose, order) = (quiet.pose.poll_new(), quiet.selection.poll_order());
@@ -360,8 +362,10 @@ impl Viewer {
             outdated.abort();
         }
         if let Some((version, look)) = talk.quietly().look.poll_refine(now) {
-            let lights = self.present.lights.clone();
-            let work = tokio::spawn(async move { lights.scene(&look).await.is_some() });
+            let (present, generator) = (self.present.clone(), self.common.generator.clone());
+            let work = tokio::spawn(async move {
+                present.lights.scene(&look, Some((&generator, present.scene))).await.is_some()
+            });
             self.refining = Some((version, work));
         }
         talk.look.due().map(|due| Instant::now() + Duration::from_micros(due.saturating_sub(now)))

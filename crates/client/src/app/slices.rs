@@ -56,7 +56,7 @@ impl<S: FrameSource> ViewerApp<S> {
             if let Some(pointed) = self.slices.show_pane(ui, number, &stacks, &scene) {
                 let Pointed { point, value } = pointed;
                 let voxel = probe::voxel_at(point, volume);
-                let voxel = Some(ProbedVoxel { index: voxel, value });
+                let voxel = Some(ProbedVoxel { index: voxel, value, level: 0 });
                 let found = Probed { id: ProbeId(0), point: point.to_array(), voxel };
                 let [value, place, _] = probe::lines(point, Some(&found), volume);
                 slices::show_pointed(ui, rect, &[value, place]);

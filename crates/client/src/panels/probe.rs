@@ -65,7 +65,8 @@ pub(crate) fn lines(point: Vec3, answer: Option<&Probed>, volume: &VolumeDescrip
     let found = answer.and_then(|a| a.voxel).filter(|voxel| voxel.index == index);
     let value = found.map_or("…".to_owned(), |found| {
         let unit = volume.value_unit.as_deref().map_or(String::new(), |u| format!(" {u}"));
-        format!("{}{unit}", found.value)
+        let level = if found.level > 0 { format!(" (level {})", found.level) } else { String::new() };
+        format!("{}{unit}{level}", found.value)
     });
     [value, format!("{}{unit}", coordinates.join("  ")), format!("voxel {x}, {y}, {z}")]
 }
@@ -148,7 +149,7 @@ mod tests {
     }
 
     fn probed(point: Vec3) -> Probed {
-        let voxel = Some(ProbedVoxel { index: [7, 9, 3], value: -42.5 });
+        let voxel = Some(ProbedVoxel { index: [7, 9, 3], value: -42.5, level: 0 });
         Probed { id: ProbeId(1), point: point.to_array(), voxel }
     }
 
@@ -166,6 +167,9 @@ mod tests {
         let other = Vec3::new(1.0, 1.3, -3.0);
         assert_eq!(lines(other, Some(&probed(point)), &volume())[0], "…");
         assert_eq!(lines(point + 0.1, Some(&probed(point)), &volume())[0], "-42.5 HU");
+        let voxel = probed(point).voxel.map(|voxel| ProbedVoxel { level: 2, ..voxel });
+        let coarse = Probed { voxel, ..probed(point) };
+        assert_eq!(lines(point, Some(&coarse), &volume())[0], "-42.5 HU (level 2)");
         assert_eq!(lines(point, Some(&Probed { voxel: None, ..probed(point) }), &volume())[0], "…");
         assert_eq!(lines(point, None, &volume())[2], "voxel 7, 9, 3");
     }

@@ -229,7 +229,7 @@ impl Opening {
     fn read(&mut self, local: Local, outline: Outline) -> OpeningStep {
         self.name.clone_from(&outline.name);
         let wake = self.wake.clone();
-        let loading = Loading::start(local.request.clone(), move || wake());
+        let loading = Loading::start(local.request.clone(), local.servers.index_folder(), move || wake());
         self.outline = Some(outline);
         OpeningStep::Reading(local, loading)
     }

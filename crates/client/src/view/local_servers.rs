@@ -1,5 +1,7 @@
 //! Servers in this process, for volumes that are opened in the window.
 
+use std::path::PathBuf;
+
 use isinglass_core::volume::Volume;
 use isinglass_formats::{FormatError, LoadRequest, OpenOptions, Outline, outline};
 use isinglass_net::Link;
@@ -14,6 +16,11 @@ pub trait LocalServers: Send + Sync {
     /// Whether a header may name files outside its own folder.
     fn allows_foreign_files(&self) -> bool {
         false
+    }
+
+    /// The folder with indices of volumes that were read before; `None` keeps none.
+    fn index_folder(&self) -> Option<PathBuf> {
+        None
     }
 
     /// Checks that a volume fits beside `held` bytes.

@@ -2,7 +2,7 @@
 
 use super::pace::Pace;
 use crate::ids::ProbeId;
-use crate::volume::Volume;
+use crate::volume::ValuesAt;
 use crate::wire::{ClientMessage, ServerMessage};
 
 /// What a client can ask of the shown volume.
@@ -24,8 +24,8 @@ pub trait Question: Copy {
     fn to_message(self) -> ClientMessage;
     /// An answer as a message.
     fn message_of(answer: Self::Answer) -> ServerMessage;
-    /// Looks the answer up in a volume.
-    fn answer_from(&self, volume: &Volume) -> Self::Answer;
+    /// Looks the answer up.
+    fn answer_from(&self, values: &mut dyn ValuesAt) -> Self::Answer;
 }
 
 /// The client's half: the newest question and the newest answer.
@@ -95,12 +95,14 @@ impl<Q: Question> InquiryClient<Q> {
 #[derive(Debug)]
 pub struct InquiryServer<Q: Question> {
     asked: Option<Q>,
+    /// The question that was answered last.
+    answered: Option<ProbeId>,
     answer: Option<Q::Answer>,
 }
 
 impl<Q: Question> Default for InquiryServer<Q> {
     fn default() -> Self {
-        Self { asked: None, answer: None }
+        Self { asked: None, answered: None, answer: None }
     }
 }
 
@@ -115,10 +117,18 @@ impl<Q: Question> InquiryServer<Q> {
         self.asked.is_some()
     }
 
-    /// Answers the question from the shown volume.
-    pub fn answer(&mut self, volume: &Volume) {
-        if let Some(question) = self.asked.take() {
-            self.answer = Some(question.answer_from(volume));
+    /// Answers the question from the shown volume, and returns it.
+    pub fn answer(&mut self, values: &mut dyn ValuesAt) -> Option<Q> {
+        let question = self.asked.take()?;
+        self.answered = Some(question.id());
+        self.answer = Some(question.answer_from(values));
+        Some(question)
+    }
+
+    /// Finer values are there. They are sent if nothing else was asked meanwhile.
+    pub fn handle_finer(&mut self, answer: Q::Answer) {
+        if self.asked.is_none() && self.answered == Some(Q::id_of(&answer)) {
+            self.answer = Some(answer);
         }
     }
 

@@ -181,7 +181,8 @@ impl Pair {
                 Down::Slice(bytes) => {
                     let id = slice_id(&bytes).unwrap();
                     if let Some(size) = self.client.slices.begin(id) {
-                        self.client.slices.handle_slice(id, decode_slice(&bytes, size).unwrap());
+                        let (slice, is_draft) = decode_slice(&bytes, size).unwrap();
+                        self.client.slices.handle_slice(id, slice, is_draft);
                     }
                 }
                 Down::Chunk(place, version) => {
@@ -208,8 +209,8 @@ impl Pair {
         if let Some(look) = server.look.poll_wanted() {
             server.look.begin(self.now, look, true);
         }
-        server.probe.answer(&self.volume);
-        server.profile.answer(&self.volume);
+        server.probe.answer(&mut &self.volume);
+        server.profile.answer(&mut &self.volume);
         self.orders.extend(server.selection.poll_order());
         if let Some(Some(shot)) = server.screenshot.poll_request() {
             self.shots.push((shot.id, server.look.look().transfer.name.clone()));
@@ -221,7 +222,7 @@ impl Pair {
             let slice = Slice::of(&self.volume, &next.spec, ALWAYS).unwrap();
             self.num_slices += 1;
             let at = self.link.arrival(self.now);
-            self.link.down.push((at, Down::Slice(encode_slice(next.id, &slice).unwrap())));
+            self.link.down.push((at, Down::Slice(encode_slice(next.id, &slice, false).unwrap())));
         }
         self.poses.extend(server.pose.poll_new());
         let Some(newest) = server.pose.newest() else { return };

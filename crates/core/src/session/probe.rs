@@ -7,7 +7,7 @@
 
 use super::inquiry::{InquiryClient, InquiryServer, Question};
 use crate::ids::ProbeId;
-use crate::volume::Volume;
+use crate::volume::ValuesAt;
 use crate::wire::{ClientMessage, ProbeRequest, Probed, ServerMessage};
 
 /// The client's half: the newest question and the newest answer.
@@ -53,8 +53,8 @@ impl Question for ProbeRequest {
         ServerMessage::Probed(answer)
     }
 
-    fn answer_from(&self, volume: &Volume) -> Probed {
-        self.answer(volume)
+    fn answer_from(&self, values: &mut dyn ValuesAt) -> Probed {
+        self.answer(values)
     }
 }
 

@@ -7,7 +7,7 @@
 
 use super::inquiry::{InquiryClient, InquiryServer, Question};
 use crate::ids::ProbeId;
-use crate::volume::Volume;
+use crate::volume::ValuesAt;
 use crate::wire::{ClientMessage, Profile, ProfileRequest, ServerMessage};
 
 /// The client's half: the newest line, and its values.
@@ -52,8 +52,8 @@ impl Question for ProfileRequest {
         ServerMessage::Profile(answer)
     }
 
-    fn answer_from(&self, volume: &Volume) -> Profile {
-        self.answer(volume)
+    fn answer_from(&self, values: &mut dyn ValuesAt) -> Profile {
+        self.answer(values)
     }
 }
 

@@ -22,7 +22,7 @@ use crate::wire::{ClientMessage, ServerMessage, SliceRequest, VolumeDescription,
 pub struct SlicesClient {
     newest: SliceId,
     wanted: Vec<SliceRequest>,
-    /// Those of `wanted` whose stream is read, so that each is read once.
+    /// Those of `wanted` whose stream is read, once for each stream.
     reading: Vec<SliceId>,
     /// How often each slice has failed on this connection.
     failures: Vec<(SliceSpec, u8)>,
@@ -30,8 +30,17 @@ pub struct SlicesClient {
     /// The volume, and the look version with which it came.
     volume: Option<(LookVersion, VolumeDescription)>,
     /// The last used is at the end.
-    kept: VecDeque<(SliceSpec, Arc<Slice>)>,
+    kept: VecDeque<KeptSlice>,
     num_kept_bytes: usize,
+}
+
+/// A slice that has come.
+#[derive(Debug)]
+struct KeptSlice {
+    spec: SliceSpec,
+    slice: Arc<Slice>,
+    /// Whether a finer one follows.
+    is_draft: bool,
 }
 
 impl Default for SlicesClient {
@@ -52,7 +61,7 @@ impl Default for SlicesClient {
 impl SlicesClient {
     /// A slice that has come.
     pub fn get(&self, spec: &SliceSpec) -> Option<Arc<Slice>> {
-        self.kept.iter().rev().find(|(kept, _)| kept == spec).map(|(_, slice)| slice.clone())
+        self.kept.iter().rev().find(|kept| kept.spec == *spec).map(|kept| kept.slice.clone())
     }
 
     /// Whether [`SlicesClient::want`] of this list changes anything.
@@ -65,7 +74,7 @@ impl SlicesClient {
     /// [`MAX_WANTED_SLICES`] are requested. Those that have come stay longest.
     pub fn want(&mut self, specs: &[(SliceSpec, bool)]) {
         for (spec, _) in specs.iter().rev() {
-            if let Some(at) = self.kept.iter().position(|(kept, _)| kept == spec) {
+            if let Some(at) = self.kept.iter().position(|kept| kept.spec == *spec) {
                 let used = self.kept.remove(at);
                 self.kept.extend(used);
             }
@@ -92,12 +101,12 @@ impl SlicesClient {
         self.wanted.iter().any(|w| w.id == id)
     }
 
-    /// The stream of a slice begins. Returns its columns and rows if it is worth reading: the slice is wanted, and no
-    /// other stream of it was read.
+    /// The stream of a slice begins. Returns its columns and rows if it is worth reading: the slice is wanted, and few
+    /// other streams of it are read.
     pub fn begin(&mut self, id: SliceId) -> Option<[u32; 2]> {
         let volume = &self.volume.as_ref()?.1;
         let wanted = self.wanted.iter().find(|w| w.id == id)?;
-        if self.reading.contains(&id) {
+        if self.reading.iter().filter(|other| **other == id).count() == MAX_READING {
             return None;
         }
         self.reading.push(id);
@@ -142,16 +151,26 @@ impl SlicesClient {
         }
     }
 
-    /// The stream of a slice has ended. `slice` has the size that [`Self::begin`] returned.
-    pub fn handle_slice(&mut self, id: SliceId, slice: Slice) {
-        self.reading.retain(|other| *other != id);
+    /// The stream of a slice has ended. `slice` has the size that [`Self::begin`] returned. A finer one follows a draft.
+    pub fn handle_slice(&mut self, id: SliceId, slice: Slice, is_draft: bool) {
+        if let Some(at) = self.reading.iter().position(|other| *other == id) {
+            self.reading.remove(at);
+        }
         let Some(at) = self.wanted.iter().position(|w| w.id == id) else { return };
-        let spec = self.wanted.remove(at).spec;
+        let spec = self.wanted[at].spec;
+        if !is_draft {
+            self.wanted.remove(at);
+        }
+        if let Some(at) = self.kept.iter().position(|kept| kept.spec == spec)
+            && let Some(before) = self.kept.remove(at)
+        {
+            self.num_kept_bytes -= before.slice.num_bytes();
+        }
         self.num_kept_bytes += slice.num_bytes();
-        self.kept.push_back((spec, Arc::new(slice)));
+        self.kept.push_back(KeptSlice { spec, slice: Arc::new(slice), is_draft });
         while self.num_kept_bytes > MAX_KEPT_BYTES || self.kept.len() > MAX_KEPT {
-            let Some((_, oldest)) = self.kept.pop_front() else { break };
-            self.num_kept_bytes -= oldest.num_bytes();
+            let Some(oldest) = self.kept.pop_front() else { break };
+            self.num_kept_bytes -= oldest.slice.num_bytes();
         }
     }
 
@@ -170,7 +189,9 @@ impl SlicesClient {
     fn missing(&self, specs: &[(SliceSpec, bool)]) -> impl Iterator<Item = (SliceSpec, bool)> {
         let has_failed =
             |spec: &SliceSpec| self.failures.iter().any(|(other, num)| other == spec && *num >= MAX_TRIES);
-        let is_kept = |spec: &SliceSpec| self.kept.iter().any(|(kept, _)| kept == spec) || has_failed(spec);
+        let is_kept = |spec: &SliceSpec| {
+            has_failed(spec) || self.kept.iter().any(|kept| kept.spec == *spec && !kept.is_draft)
+        };
         let mut missing: Vec<(SliceSpec, bool)> = Vec::new();
         for (spec, is_ahead) in specs {
             let is_double = missing.iter().any(|(other, _)| other == spec);
@@ -234,6 +255,8 @@ const PERIOD_MICROS: u64 = 33_334;
 pub const MAX_KEPT_BYTES: usize = 256 << 20;
 /// Most kept slices, so that finding one stays fast.
 const MAX_KEPT: usize = 1024;
+/// Most streams of one slice that are read at a time: drafts, and what follows them.
+const MAX_READING: usize = 4;
 /// Most requests of one slice whose streams are unusable.
 const MAX_TRIES: u8 = 3;
 
@@ -302,12 +325,12 @@ mod tests {
         client.handle_welcome(&welcome("a").volume, LookVersion(1));
         client.want(&wanted([1, 2]));
         let Some(ClientMessage::WantSlices(old)) = client.poll_message(0) else { panic!("a list") };
-        client.handle_slice(old.slices[0].id, slice(8));
+        client.handle_slice(old.slices[0].id, slice(8), false);
         assert!(client.get(&spec(1)).is_some());
         let change =
             VolumeChange { volume: welcome("b").volume, look_version: LookVersion(4), look: look("b") };
         client.handle_message(&ServerMessage::VolumeChanged(Box::new(change)));
-        client.handle_slice(old.slices[1].id, slice(8));
+        client.handle_slice(old.slices[1].id, slice(8), false);
         assert!(client.get(&spec(1)).is_none() && client.get(&spec(2)).is_none());
         client.want(&wanted([1]));
         let Some(ClientMessage::WantSlices(new)) = client.poll_message(100_000) else { panic!("a list") };
@@ -352,6 +375,27 @@ mod tests {
     }
 
     #[test]
+    fn a_draft_is_shown_until_the_finer_one_is_there_and_is_requested_again() {
+        let mut client = SlicesClient::default();
+        client.handle_welcome(&welcome("a").volume, LookVersion(1));
+        client.want(&wanted([1]));
+        let id = client.newest;
+        client.handle_slice(id, slice(8), true);
+        assert!(client.get(&spec(1)).is_some() && client.wants(id));
+        // Nobody looks for a while: the draft stays, and the finer one is asked for anew.
+        client.want(&[]);
+        assert!(client.get(&spec(1)).is_some() && !client.wants(id));
+        client.want(&wanted([1]));
+        assert!(client.wants(client.newest) && client.newest != id);
+        let before = client.num_kept_bytes;
+        client.handle_slice(client.newest, slice(16), false);
+        assert_eq!(client.get(&spec(1)).map(|kept| kept.size), Some([16; 2]));
+        assert_eq!(client.num_kept_bytes, before + 16 * 16 - 8 * 8, "it replaces the draft");
+        client.want(&wanted([1]));
+        assert!(!client.wants(client.newest), "control: what is final is not asked for");
+    }
+
+    #[test]
     fn memory_is_bounded_and_the_last_used_stay() {
         let side = 2048;
         let mut volume = welcome("a").volume;
@@ -360,7 +404,7 @@ mod tests {
         client.handle_welcome(&volume, LookVersion(1));
         for index in 0..80 {
             client.want(&wanted([index]));
-            client.handle_slice(client.newest, slice(side));
+            client.handle_slice(client.newest, slice(side), false);
             // The first is looked at again and again.
             client.want(&wanted([0]));
         }
@@ -370,7 +414,7 @@ mod tests {
         // Many small ones are bounded, too.
         for index in 0..2 * MAX_KEPT as u32 {
             client.want(&[(SliceSpec { thickness: index as f32, ..spec(1) }, false)]);
-            client.handle_slice(client.newest, slice(8));
+            client.handle_slice(client.newest, slice(8), false);
         }
         assert_eq!(client.kept.len(), MAX_KEPT);
     }
@@ -386,7 +430,10 @@ mod tests {
                 break;
             }
             ids.push(client.newest);
-            assert_eq!((client.begin(client.newest), client.begin(client.newest)), (Some([8; 2]), None));
+            for _ in 0..MAX_READING {
+                assert_eq!(client.begin(client.newest), Some([8; 2]));
+            }
+            assert_eq!(client.begin(client.newest), None);
             client.handle_failed(client.newest);
         }
         assert_eq!(ids.len(), usize::from(MAX_TRIES));

@@ -13,6 +13,8 @@ mod labels;
 mod lighting;
 mod lit;
 mod opacities;
+mod page_slice;
+mod page_values;
 mod pages;
 pub mod procedural;
 mod pyramid;
@@ -34,6 +36,7 @@ pub use lighting::{
 };
 pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use opacities::{opacity_table, opacity_volume};
+pub use page_values::{FoundVoxel, PageCursor, PageFinder, PageReader, PageValues, ValuesAt};
 pub use pages::{Page, PageSet, page_of};
 pub use pyramid::{
     Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageRanges, PageSource, PageVoxels,

@@ -155,6 +155,12 @@ impl Pyramid {
         std::array::from_fn(|i| dims[i].saturating_sub(1).div_ceil(PAGE_CELLS * factor[i]).max(1))
     }
 
+    /// The page of a level that covers a page of the finest one. Both must exist.
+    pub fn page_over(&self, at: [u32; 3], level: u8) -> PageId {
+        let (factor, pages) = (self.levels[usize::from(level)].factor, self.pages(usize::from(level)));
+        PageId { level, at: std::array::from_fn(|i| (at[i] / factor[i]).min(pages[i] - 1)) }
+    }
+
     /// The level of a page, which must exist.
     pub fn level(&self, page: PageId) -> &PyramidLevel {
         &self.levels[usize::from(page.level)]
@@ -176,6 +182,11 @@ impl Pyramid {
             high => high,
         };
         (Vec3::from_array([0, 1, 2].map(low)), Vec3::from_array([0, 1, 2].map(high)))
+    }
+
+    /// Whether voxels are as many as those of a page, and of their type.
+    pub fn is_page(&self, page: &PageVoxels) -> bool {
+        page.voxels.kind() == self.kind && page.voxels.len() == PAGE_VOXELS
     }
 
     /// Bytes of the voxels of a page.

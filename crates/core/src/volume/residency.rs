@@ -326,6 +326,16 @@ impl Residency {
         (self.max_pages / (others + 1)).saturating_sub(SLACK)
     }
 
+    /// There is memory for so many pages from now on. Without any, all pages and plans are forgotten.
+    pub fn set_room(&mut self, max_pages: usize) {
+        self.max_pages = max_pages;
+        self.version += 1;
+        if max_pages == 0 {
+            self.plans.clear();
+            self.resident.clear();
+        }
+    }
+
     /// A viewer has another plan.
     pub fn set_plan(&mut self, key: PlanKey, plan: PagePlan) {
         match self.plans.iter_mut().find(|(known, _)| *known == key) {
@@ -365,7 +375,8 @@ impl Residency {
         is_open && (plan.leaves.contains(&id) || !self.has_parts(plan, id))
     }
 
-    fn has_failed(&self, id: PageId) -> bool {
+    /// Whether a page was given up.
+    pub fn has_failed(&self, id: PageId) -> bool {
         self.failed.get(&id).is_some_and(|tries| *tries >= TRIES)
     }
 
@@ -426,6 +437,17 @@ impl Residency {
         };
         let pages = self.base.iter().chain(self.resident.values()).cloned().collect();
         PageSet::new(self.pyramid.clone(), pages, is_shown)
+    }
+
+    /// The finest page in memory that stands for a page of the finest level, which must exist.
+    pub fn finest(&self, at: [u32; 3]) -> Arc<Page> {
+        let last = self.pyramid.levels.len().saturating_sub(1) as u8;
+        let resident = (0..last).find_map(|level| self.resident.get(&self.pyramid.page_over(at, level)));
+        let base = || {
+            let id = self.pyramid.page_over(at, last);
+            self.base.iter().find(|page| page.id == id)
+        };
+        resident.or_else(base).unwrap_or(&self.base[0]).clone()
     }
 
     /// Changes whenever a page comes, goes or is given up.

@@ -128,7 +128,7 @@ impl SliceSpec {
     }
 
     /// The indices of the voxels across an axis that a slab holds.
-    fn slab(&self, index: u32, num: u32, spacing: f32) -> std::ops::Range<usize> {
+    pub(super) fn slab(&self, index: u32, num: u32, spacing: f32) -> std::ops::Range<usize> {
         let index = i64::from(index.min(num - 1));
         let voxels = ((self.thickness / spacing).round() as i64).clamp(1, i64::from(num));
         let first = index - (voxels - 1) / 2;
@@ -193,6 +193,28 @@ impl Slice {
     pub fn of(volume: &Volume, spec: &SliceSpec, wanted: Wanted<'_>) -> Option<Self> {
         let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
         let grid = spec.grid(dims, spacing);
+        let coding = SliceCoding::of(volume, spec, volume.stored_range());
+        let stored = match volume.voxels() {
+            Voxels::U8(v) => values(volume, v, spec, &grid, wanted),
+            Voxels::U16(v) => values(volume, v, spec, &grid, wanted),
+            Voxels::F32(v) => values(volume, v, spec, &grid, wanted),
+        }?;
+        Some(coding.slice(volume, grid.size, &stored))
+    }
+}
+
+/// How stored numbers become codes.
+pub(super) struct SliceCoding {
+    /// The number of code 0, and codes of a step of 1.
+    lo: f32,
+    scale: f32,
+    is_byte: bool,
+}
+
+impl SliceCoding {
+    /// The codes of a slice of `volume` with numbers of a range.
+    pub(super) fn of(volume: &Volume, spec: &SliceSpec, (lo, hi): (f32, f32)) -> Self {
+        let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
         let is_whole = matches!(spec.plane, SlicePlane::Axis { .. }) && spec.mode != SlabMode::Mean;
         let is_thin = matches!(&spec.plane, SlicePlane::Axis { axis, index } if {
             let axis = usize::from((*axis).min(2));
@@ -202,23 +224,20 @@ impl Slice {
             Voxels::U8(_) if is_whole || is_thin => (0.0, 1.0, true),
             Voxels::U8(_) => (0.0, 257.0, false),
             Voxels::U16(_) => (0.0, 1.0, false),
-            Voxels::F32(_) => {
-                let (lo, hi) = volume.stored_range();
-                (lo, if hi > lo { 65535.0 / (hi - lo) } else { 1.0 }, false)
-            }
+            Voxels::F32(_) => (lo, if hi > lo { 65535.0 / (hi - lo) } else { 1.0 }, false),
         };
-        let code = |stored: f64| (stored - f64::from(lo)) * f64::from(scale);
-        let (value_scale, _) = volume.value_map();
-        let stored = match volume.voxels() {
-            Voxels::U8(v) => values(volume, v, spec, &grid, wanted),
-            Voxels::U16(v) => values(volume, v, spec, &grid, wanted),
-            Voxels::F32(v) => values(volume, v, spec, &grid, wanted),
-        }?;
+        Self { lo, scale, is_byte }
+    }
+
+    pub(super) fn slice(&self, volume: &Volume, size: [u32; 2], stored: &[f64]) -> Slice {
+        let Self { lo, scale, is_byte } = *self;
+        let code = |stored: f64| ((stored - f64::from(lo)) * f64::from(scale)).round();
         let codes = match is_byte {
-            true => SliceCodes::U8(stored.iter().map(|v| code(*v).round() as u8).collect()),
-            false => SliceCodes::U16(stored.iter().map(|v| code(*v).round() as u16).collect()),
+            true => SliceCodes::U8(stored.iter().map(|v| code(*v) as u8).collect()),
+            false => SliceCodes::U16(stored.iter().map(|v| code(*v) as u16).collect()),
         };
-        Some(Self { size: grid.size, lo: volume.value_from_stored(lo), step: value_scale / scale, codes })
+        let (value_scale, _) = volume.value_map();
+        Slice { size, lo: volume.value_from_stored(lo), step: value_scale / scale, codes }
     }
 }
 
@@ -312,7 +331,7 @@ fn values<T: Copy + Into<f64> + Sync>(
 }
 
 /// Adds the value of layer `n`.
-fn add(sum: &mut f64, value: f64, n: usize, mode: SlabMode) {
+pub(super) fn add(sum: &mut f64, value: f64, n: usize, mode: SlabMode) {
     *sum = match mode {
         _ if n == 0 => value,
         SlabMode::Mean => *sum + value,
@@ -322,7 +341,7 @@ fn add(sum: &mut f64, value: f64, n: usize, mode: SlabMode) {
 }
 
 /// Ends a sum of `num` layers.
-fn end(row: &mut [f64], num: usize, mode: SlabMode) {
+pub(super) fn end(row: &mut [f64], num: usize, mode: SlabMode) {
     if mode == SlabMode::Mean && num > 1 {
         row.iter_mut().for_each(|value| *value /= num as f64);
     }
@@ -373,14 +392,14 @@ impl Volume {
 }
 
 /// The axes of columns and rows of a slice across an axis.
-fn across(axis: usize) -> [usize; 2] {
+pub(super) fn across(axis: usize) -> [usize; 2] {
     [[1, 2], [0, 2], [0, 1]][axis]
 }
 
 /// Most columns or rows of a slice: those of the largest volume.
 pub const MAX_SLICE_SIDE: u32 = Volume::MAX_SIDE;
 /// Most layers that an oblique slab is made of.
-const MAX_LAYERS: f32 = 1024.0;
+pub(super) const MAX_LAYERS: f32 = 1024.0;
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -420,7 +420,7 @@ mod tests {
             ServerMessage::Probed(Probed {
                 id: ProbeId(5),
                 point: [1.0, -2.0, 0.5],
-                voxel: Some(ProbedVoxel { index: [1, 2, 3], value: -7.5 }),
+                voxel: Some(ProbedVoxel { index: [1, 2, 3], value: -7.5, level: 2 }),
             }),
             ServerMessage::ScreenshotFailed { id: ScreenshotId(6), why: "too large".into() },
         ]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::control::ControlError;
 use crate::ids::ProbeId;
-use crate::volume::Volume;
+use crate::volume::{FoundVoxel, ValuesAt};
 
 /// Asks for the value at a point. Of several waiting questions, the newest is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,6 +34,8 @@ pub struct ProbedVoxel {
     pub index: [u32; 3],
     /// Its value.
     pub value: f32,
+    /// The level that the value is of, 0 for the finest.
+    pub level: u8,
 }
 
 impl ProbeRequest {
@@ -42,23 +44,10 @@ impl ProbeRequest {
         check_point(self.point)
     }
 
-    /// Looks the answer up in a volume.
-    pub fn answer(&self, volume: &Volume) -> Probed {
-        let (bounds, point) = (volume.bounds(), Vec3::from_array(self.point));
-        let is_inside = point.cmpge(bounds.min).all() && point.cmple(bounds.max).all();
-        let at = point / volume.spacing() + volume.voxel_origin();
-        let dims = volume.whole_dims();
-        let here: [u32; 3] = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
-        let voxel = (is_inside && volume.holds(here)).then(|| {
-            // Viewers know the finest level's voxels.
-            let finest = volume.finest_dims();
-            let at = (point - bounds.min) / volume.finest_spacing();
-            let index = match volume.finest() {
-                Some(_) => std::array::from_fn(|i| (at[i].max(0.0) as u32).min(finest[i] - 1)),
-                None => here,
-            };
-            ProbedVoxel { index, value: volume.value_from_stored(volume.stored_in_world(here)) }
-        });
+    /// Looks the answer up.
+    pub fn answer(&self, values: &mut dyn ValuesAt) -> Probed {
+        let found = values.voxel(Vec3::from_array(self.point));
+        let voxel = found.map(|FoundVoxel { index, value, level }| ProbedVoxel { index, value, level });
         Probed { id: self.id, point: self.point, voxel }
     }
 }
@@ -80,20 +69,20 @@ fn check_point(point: [f32; 3]) -> Result<(), ControlError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volume::{VolumeInfo, Voxels};
+    use crate::volume::{Volume, VolumeInfo, Voxels};
 
     #[test]
     fn the_answer_is_the_voxel_that_holds_the_point() {
         let voxels = Voxels::U16((0..60).collect());
         let spacing = Vec3::new(1.0, 0.5, 2.0);
         let volume = Volume::new([3, 4, 5], spacing, voxels, (2.0, -7.0), VolumeInfo::default()).unwrap();
-        let ask = |point: Vec3| ProbeRequest { id: ProbeId(3), point: point.to_array() }.answer(&volume);
+        let ask = |point: Vec3| ProbeRequest { id: ProbeId(3), point: point.to_array() }.answer(&mut &volume);
         for (i, [x, y, z]) in [[0, 0, 0], [2, 3, 4], [1, 2, 3]].into_iter().enumerate() {
             let center = volume.bounds().min + (Vec3::new(x as f32, y as f32, z as f32) + 0.5) * spacing;
             for aside in [Vec3::ZERO, spacing * 0.4, spacing * -0.4] {
                 let found = ask(center + aside);
                 let value = ((z * 4 + y) * 3 + x) as f32 * 2.0 - 7.0;
-                assert_eq!(found.voxel, Some(ProbedVoxel { index: [x, y, z], value }), "{i}");
+                assert_eq!(found.voxel, Some(ProbedVoxel { index: [x, y, z], value, level: 0 }), "{i}");
                 assert_eq!((found.id, found.validate().is_ok()), (ProbeId(3), true));
             }
         }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::control::ControlError;
 use crate::ids::ProbeId;
 use crate::space::MAX_COORDINATE;
-use crate::volume::Volume;
+use crate::volume::ValuesAt;
 
 /// Asks for values at equal distances along a line. Of several waiting questions, the newest is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,12 +36,12 @@ impl ProfileRequest {
         if is_line && is_number { Ok(()) } else { Err(ControlError::Value("line of a profile")) }
     }
 
-    /// Looks the answer up in a volume.
-    pub fn answer(&self, volume: &Volume) -> Profile {
+    /// Looks the answer up.
+    pub fn answer(&self, values: &mut dyn ValuesAt) -> Profile {
         let [from, to] = self.ends.map(Vec3::from_array);
         let last = f32::from(self.num_points.max(2) - 1);
-        let at = |i: u16| volume.value_between(from.lerp(to, f32::from(i) / last));
-        Profile { id: self.id, values: (0..self.num_points.min(MAX_PROFILE_POINTS)).map(at).collect() }
+        let mut at = |i: u16| values.between(from.lerp(to, f32::from(i) / last));
+        Profile { id: self.id, values: (0..self.num_points.min(MAX_PROFILE_POINTS)).map(&mut at).collect() }
     }
 }
 
@@ -59,7 +59,7 @@ pub const MAX_PROFILE_POINTS: u16 = 512;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volume::{VolumeInfo, Voxels};
+    use crate::volume::{Volume, VolumeInfo, Voxels};
 
     /// Values 3x − 2y + 5z of the voxels' indices, plus 7.
     fn ramp() -> Volume {
@@ -73,7 +73,7 @@ mod tests {
     fn ask(from: Vec3, to: Vec3, num_points: u16) -> Profile {
         let question = ProfileRequest { id: ProbeId(4), ends: [from.to_array(), to.to_array()], num_points };
         assert!(question.validate().is_ok());
-        question.answer(&ramp())
+        question.answer(&mut &ramp())
     }
 
     #[test]

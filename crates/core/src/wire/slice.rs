@@ -9,7 +9,8 @@
 //! | 12 | f32 | value of code 0 |
 //! | 16 | f32 | difference of two neighbouring codes |
 //! | 20 | u8 | bytes of a code, 1 or 2 |
-//! | 21 | | a Zstandard frame of the codes, to the end of the stream |
+//! | 21 | u8 | 1 if a finer slice follows, else 0 |
+//! | 22 | | a Zstandard frame of the codes, to the end of the stream |
 //!
 //! Numbers are little-endian. Each code stands as its difference from the one before it in its row, modulo 2⁸ or 2¹⁶.
 //! The first code of a row follows 0. Of 16-bit codes, all low bytes come first, and then all high bytes.
@@ -69,11 +70,11 @@ pub enum SliceError {
     },
 }
 
-/// The whole stream of a slice.
+/// The whole stream of a slice. After a draft, a finer slice follows.
 ///
 /// # Errors
 /// If it cannot be packed.
-pub fn encode_slice(id: SliceId, slice: &Slice) -> Result<Vec<u8>, SliceError> {
+pub fn encode_slice(id: SliceId, slice: &Slice, is_draft: bool) -> Result<Vec<u8>, SliceError> {
     let width = slice.size[0] as usize;
     let (plain, code_bytes) = match &slice.codes {
         SliceCodes::U8(codes) => {
@@ -106,7 +107,7 @@ pub fn encode_slice(id: SliceId, slice: &Slice) -> Result<Vec<u8>, SliceError> {
     }
     out.extend_from_slice(&slice.lo.to_le_bytes());
     out.extend_from_slice(&slice.step.to_le_bytes());
-    out.push(code_bytes);
+    out.extend_from_slice(&[code_bytes, u8::from(is_draft)]);
     out.extend_from_slice(&packed);
     Ok(out)
 }
@@ -118,18 +119,18 @@ pub fn slice_id(header: &[u8]) -> Option<SliceId> {
     (header[..4] == SLICE_MAGIC).then_some(SliceId(id))
 }
 
-/// The slice of `size` columns and rows in a whole stream. Memory is bounded by the size.
+/// The slice of `size` columns and rows in a whole stream, and whether a finer one follows. Memory is bounded by the size.
 ///
 /// # Errors
 /// If the bytes are no slice, or one of another size.
-pub fn decode_slice(bytes: &[u8], size: [u32; 2]) -> Result<Slice, SliceError> {
+pub fn decode_slice(bytes: &[u8], size: [u32; 2]) -> Result<(Slice, bool), SliceError> {
     let header: &[u8; SLICE_HEADER_BYTES] = bytes.first_chunk().ok_or(SliceError::Header)?;
     let side = |at: usize| u32::from(u16::from_le_bytes([header[at], header[at + 1]]));
     let number = |at: usize| f32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-    let (lo, step, code_bytes) = (number(12), number(16), header[20]);
+    let (lo, step, code_bytes, more) = (number(12), number(16), header[20], header[21]);
     let is_size = [side(8), side(10)] == size && size.iter().all(|side| (1..=MAX_SLICE_SIDE).contains(side));
     let are_values = lo.is_finite() && step.is_finite() && (step * 65535.0 + lo).is_finite();
-    if slice_id(header).is_none() || !is_size || !are_values || !(1..=2).contains(&code_bytes) {
+    if slice_id(header).is_none() || !is_size || !are_values || !(1..=2).contains(&code_bytes) || more > 1 {
         return Err(SliceError::Header);
     }
     let (width, num) = (size[0] as usize, size[0] as usize * size[1] as usize);
@@ -160,13 +161,13 @@ pub fn decode_slice(bytes: &[u8], size: [u32; 2]) -> Result<Slice, SliceError> {
         }
         SliceCodes::U16(codes)
     };
-    Ok(Slice { size, lo, step, codes })
+    Ok((Slice { size, lo, step, codes }, more == 1))
 }
 
 /// First bytes of a slice's stream.
 pub const SLICE_MAGIC: [u8; 4] = *b"IGSL";
 /// Bytes before the codes.
-pub const SLICE_HEADER_BYTES: usize = 21;
+pub const SLICE_HEADER_BYTES: usize = 22;
 /// Most slices in a list.
 pub const MAX_WANTED_SLICES: usize = 32;
 /// Bytes of the longest stream: the codes, and the overhead of packing.
@@ -195,9 +196,11 @@ mod tests {
     #[test]
     fn decoding_inverts_encoding() {
         for slice in slices() {
-            let bytes = encode_slice(SliceId(0x0102_0304), &slice).unwrap();
-            assert_eq!(slice_id(&bytes), Some(SliceId(0x0102_0304)));
-            assert_eq!(decode_slice(&bytes, slice.size).unwrap(), slice);
+            for is_draft in [false, true] {
+                let bytes = encode_slice(SliceId(0x0102_0304), &slice, is_draft).unwrap();
+                assert_eq!(slice_id(&bytes), Some(SliceId(0x0102_0304)));
+                assert_eq!(decode_slice(&bytes, slice.size).unwrap(), (slice.clone(), is_draft));
+            }
         }
         assert_eq!((slice_id(b"IGLS\x01\x02\x03\x04"), slice_id(b"IGSL\x01")), (None, None));
     }
@@ -205,7 +208,7 @@ mod tests {
     #[test]
     fn any_bytes_are_read_within_bounds() {
         for slice in slices() {
-            let good = encode_slice(SliceId(7), &slice).unwrap();
+            let good = encode_slice(SliceId(7), &slice, false).unwrap();
             for length in 0..good.len() {
                 assert!(decode_slice(&good[..length], slice.size).is_err());
             }
@@ -213,7 +216,7 @@ mod tests {
             for bit in 0..good.len() * 8 {
                 let mut bytes = good.clone();
                 bytes[bit / 8] ^= 1 << (bit % 8);
-                if let Ok(found) = decode_slice(&bytes, slice.size) {
+                if let Ok((found, _)) = decode_slice(&bytes, slice.size) {
                     let [width, height] = found.size.map(|side| side as usize);
                     let num = match &found.codes {
                         SliceCodes::U8(codes) => codes.len(),

@@ -236,7 +236,7 @@ fn server_messages() -> Vec<ServerMessage> {
         ServerMessage::Probed(Probed {
             id: ProbeId(5),
             point: [1.0, -2.0, 0.5],
-            voxel: Some(ProbedVoxel { index: [1, 2, 3], value: -7.5 }),
+            voxel: Some(ProbedVoxel { index: [1, 2, 3], value: -7.5, level: 2 }),
         }),
         ServerMessage::ScreenshotFailed { id: ScreenshotId(6), why: "w".into() },
         ServerMessage::Profile(Profile { id: ProbeId(9), values: vec![Some(1.5), None, Some(-2.0)] }),

@@ -317,7 +317,7 @@ fn slice_seeds() -> Vec<Vec<u8>> {
     let sixteen = slice(SliceCodes::U16((0..600).map(|i| i * 97).collect()), [30, 20]);
     let mut seeds: Vec<_> = [eight, sixteen]
         .iter()
-        .map(|slice| encode_slice(SliceId(9), slice).expect("it can be packed"))
+        .map(|slice| encode_slice(SliceId(9), slice, false).expect("it can be packed"))
         .collect();
     seeds.push([&screenshot_header(ScreenshotId(3))[..], b"\x89PNG"].concat());
     seeds
@@ -331,10 +331,10 @@ fn slices(bytes: &[u8]) -> String {
     let Some(id) = slice_id(bytes) else { return "nothing".into() };
     let side = |at: usize| bytes.get(at..at + 2).map_or(0, |b| u32::from(u16::from_le_bytes([b[0], b[1]])));
     match decode_slice(bytes, [side(8), side(10)]) {
-        Ok(slice) => {
-            let again = encode_slice(id, &slice).expect("what was read can be packed");
+        Ok((slice, is_draft)) => {
+            let again = encode_slice(id, &slice, is_draft).expect("what was read can be packed");
             let again = decode_slice(&again, slice.size).expect("what was packed can be read");
-            assert_eq!(format!("{again:?}"), format!("{slice:?}"));
+            assert_eq!(format!("{again:?}"), format!("{:?}", (&slice, is_draft)));
             format!("slice {}", matches!(slice.codes, SliceCodes::U8(_)))
         }
         Err(e) => format!("error {}", kind(&e.to_string())),

@@ -4,12 +4,13 @@ use half::f16;
 
 use crate::decode::single;
 use crate::dtype::Dtype;
+use crate::padding::GapNumbers;
 
 /// How voxels become one.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Rule {
-    /// The mean of those that have a value. Without any, the first stays. A number may mark voxels without a value.
-    Mean(Option<f64>),
+    /// The mean of those that have a value, or else the first. Some numbers may mark voxels without a value.
+    Mean(GapNumbers),
     /// The number that is most frequent, and the first of equally frequent ones.
     Majority,
 }
@@ -24,7 +25,7 @@ pub(super) struct NumberBox {
 
 impl NumberBox {
     /// The box in which so many numbers along x, y and z became one; at an odd end, fewer.
-    pub(super) fn reduced(&self, dtype: Dtype, factors: [usize; 3], rule: Rule) -> Self {
+    pub(super) fn reduced(&self, dtype: Dtype, factors: [usize; 3], rule: &Rule) -> Self {
         match dtype {
             Dtype::Int8 => self.reduce::<i8, 1>(factors, rule),
             Dtype::Uint8 => self.reduce::<u8, 1>(factors, rule),
@@ -40,8 +41,12 @@ impl NumberBox {
         }
     }
 
-    fn reduce<T: Number<N>, const N: usize>(&self, factors: [usize; 3], rule: Rule) -> Self {
+    fn reduce<T: Number<N>, const N: usize>(&self, factors: [usize; 3], rule: &Rule) -> Self {
         let numbers = self.bytes.as_chunks::<N>().0;
+        let gaps = match rule {
+            Rule::Mean(gaps) => Some(T::comparable(gaps)),
+            Rule::Majority => None,
+        };
         let [nx, ny, nz] = self.dims;
         let dims = [0, 1, 2].map(|k| self.dims[k].div_ceil(factors[k]));
         let mut bytes = Vec::with_capacity(dims.iter().product::<usize>() * N);
@@ -58,9 +63,9 @@ impl NumberBox {
                             few.extend(numbers[row + x.start..row + x.end].iter().map(|b| T::of_bytes(*b)));
                         }
                     }
-                    let one = match rule {
-                        Rule::Mean(gap) => T::mean(&few, gap),
-                        Rule::Majority => majority(&few),
+                    let one = match &gaps {
+                        Some(gaps) => T::mean(&few, gaps),
+                        None => majority(&few),
                     };
                     bytes.extend(one.to_bytes());
                 }
@@ -86,8 +91,10 @@ fn majority<T: Copy + PartialEq>(few: &[T]) -> T {
 trait Number<const N: usize>: Copy + PartialEq {
     fn of_bytes(bytes: [u8; N]) -> Self;
     fn to_bytes(self) -> [u8; N];
+    /// The gaps as numbers of this type are compared with them.
+    fn comparable(gaps: &GapNumbers) -> GapNumbers;
     /// The mean of those that are finite and no gap, or else the first.
-    fn mean(few: &[Self], gap: Option<f64>) -> Self;
+    fn mean(few: &[Self], gaps: &GapNumbers) -> Self;
 }
 
 /// Integers: the mean is rounded to the nearest, and to the even one of two.
@@ -102,9 +109,13 @@ macro_rules! integers {
                 self.to_le_bytes()
             }
 
-            fn mean(few: &[Self], gap: Option<f64>) -> Self {
+            fn comparable(gaps: &GapNumbers) -> GapNumbers {
+                gaps.clone()
+            }
+
+            fn mean(few: &[Self], gaps: &GapNumbers) -> Self {
                 let (mut sum, mut count) = (0, 0);
-                for x in few.iter().filter(|x| gap.is_none_or(|gap| **x as f64 != gap)) {
+                for x in few.iter().filter(|x| !gaps.contains(**x as f64)) {
                     sum += <$sum>::from(*x);
                     count += 1;
                 }
@@ -136,8 +147,12 @@ macro_rules! floats {
                 self.to_le_bytes()
             }
 
-            fn mean(few: &[Self], gap: Option<f64>) -> Self {
-                mean_of_floats(few.iter().map(|x| $to(*x)), gap).map_or(few[0], $from)
+            fn comparable(gaps: &GapNumbers) -> GapNumbers {
+                gaps.in_single()
+            }
+
+            fn mean(few: &[Self], gaps: &GapNumbers) -> Self {
+                mean_of_floats(few.iter().map(|x| $to(*x)), gaps).map_or(few[0], $from)
             }
         }
     )*};
@@ -149,10 +164,10 @@ floats! {
     f64, 8, |x| x, |x| x;
 }
 
-/// The mean of finite numbers that are not the gap; `None` without any.
-fn mean_of_floats(few: impl Iterator<Item = f64> + Clone, gap: Option<f64>) -> Option<f64> {
+/// The mean of finite numbers that are no gaps; `None` without any.
+fn mean_of_floats(few: impl Iterator<Item = f64> + Clone, gaps: &GapNumbers) -> Option<f64> {
     // Readers compare markers in single precision.
-    let is_gap = |x: f64| gap.is_some_and(|gap| single(x) == single(gap));
+    let is_gap = |x: f64| gaps.contains(single(x).into());
     let valid = || few.clone().filter(|x| x.is_finite() && !is_gap(*x));
     let count = valid().count() as f64;
     if count == 0.0 {
@@ -169,31 +184,42 @@ mod tests {
 
     fn of<T: Number<N>, const N: usize>(numbers: &[T], rule: Rule) -> T {
         match rule {
-            Rule::Mean(gap) => T::mean(numbers, gap),
+            Rule::Mean(gaps) => T::mean(numbers, &T::comparable(&gaps)),
             Rule::Majority => majority(numbers),
         }
     }
 
+    fn plain() -> Rule {
+        Rule::Mean(GapNumbers::default())
+    }
+
+    fn beside(gaps: &[f64]) -> Rule {
+        Rule::Mean(GapNumbers { numbers: gaps.to_vec(), valid: None })
+    }
+
     #[test]
     fn means_are_rounded_once_and_never_overflow() {
-        assert_eq!([of(&[1u8, 2], Rule::Mean(None)), of(&[2u8, 3], Rule::Mean(None))], [2, 2]);
-        assert_eq!([of(&[-1i8, -2], Rule::Mean(None)), of(&[-2i8, -3], Rule::Mean(None))], [-2, -2]);
-        assert_eq!(of(&[u64::MAX; 8], Rule::Mean(None)), u64::MAX);
-        assert_eq!(of(&[i64::MIN, i64::MIN, i64::MAX], Rule::Mean(None)), -3_074_457_345_618_258_603);
-        assert_eq!(of(&[f64::MAX; 8], Rule::Mean(None)), f64::MAX);
-        assert_eq!(of(&[f16::MAX; 3], Rule::Mean(None)), f16::MAX);
-        assert_eq!(of(&[1.0f32, 2.0, 4.5], Rule::Mean(None)), 2.5);
+        assert_eq!([of(&[1u8, 2], plain()), of(&[2u8, 3], plain())], [2, 2]);
+        assert_eq!([of(&[-1i8, -2], plain()), of(&[-2i8, -3], plain())], [-2, -2]);
+        assert_eq!(of(&[u64::MAX; 8], plain()), u64::MAX);
+        assert_eq!(of(&[i64::MIN, i64::MIN, i64::MAX], plain()), -3_074_457_345_618_258_603);
+        assert_eq!(of(&[f64::MAX; 8], plain()), f64::MAX);
+        assert_eq!(of(&[f16::MAX; 3], plain()), f16::MAX);
+        assert_eq!(of(&[1.0f32, 2.0, 4.5], plain()), 2.5);
     }
 
     #[test]
     fn what_has_no_value_is_not_averaged() {
-        assert_eq!(of(&[f32::NAN, 2.0, 4.0, f32::INFINITY], Rule::Mean(None)), 3.0);
-        assert!(of(&[f32::NAN; 4], Rule::Mean(None)).is_nan());
-        assert_eq!(of(&[-9999.0f64, 2.0, 4.0], Rule::Mean(Some(-9999.0))), 3.0);
-        assert_eq!(of(&[-2000i16, 10, 20], Rule::Mean(Some(-2000.0))), 15);
-        assert_eq!(of(&[-2000i16; 8], Rule::Mean(Some(-2000.0))), -2000);
+        assert_eq!(of(&[f32::NAN, 2.0, 4.0, f32::INFINITY], plain()), 3.0);
+        assert!(of(&[f32::NAN; 4], plain()).is_nan());
+        assert_eq!(of(&[-9999.0f64, 2.0, 4.0], beside(&[-9999.0])), 3.0);
+        assert_eq!(of(&[-2000i16, 10, 20], beside(&[-2000.0])), 15);
+        assert_eq!(of(&[-2000i16; 8], beside(&[-2000.0])), -2000);
+        assert_eq!(of(&[-2000i16, 10, -1, 20], beside(&[-2000.0, -1.0])), 15, "several");
+        let valid = Rule::Mean(GapNumbers { numbers: vec![], valid: Some((0.0, 15.0)) });
+        assert_eq!((of(&[-1i16, 10, 12, 16], valid.clone()), of(&[0.1f32, 99.0], valid)), (11, 0.1));
         // The control: without a word about it, the number counts.
-        assert_eq!(of(&[-2000i16, 10, 20], Rule::Mean(None)), -657);
+        assert_eq!(of(&[-2000i16, 10, 20], plain()), -657);
     }
 
     #[test]
@@ -203,16 +229,16 @@ mod tests {
         let few = [1u8, 5, 5, 9];
         assert!(few.contains(&of(&few, Rule::Majority)));
         // The control: the mean of two labels is a third one.
-        assert_eq!(of(&[2u8, 6, 6, 2], Rule::Mean(None)), 4);
+        assert_eq!(of(&[2u8, 6, 6, 2], plain()), 4);
     }
 
     #[test]
     fn odd_ends_are_means_of_fewer() {
         let bytes: Vec<u8> = (0..5 * 3).map(|i| i * 10).collect();
         let whole = NumberBox { bytes, dims: [5, 3, 1] };
-        let found = whole.reduced(Dtype::Uint8, [2, 2, 2], Rule::Mean(None));
+        let found = whole.reduced(Dtype::Uint8, [2, 2, 2], &plain());
         assert_eq!((found.dims, &found.bytes[..]), ([3, 2, 1], &[30, 50, 65, 105, 125, 140][..]));
-        let rows = whole.reduced(Dtype::Uint8, [2, 1, 1], Rule::Mean(None));
+        let rows = whole.reduced(Dtype::Uint8, [2, 1, 1], &plain());
         assert_eq!((rows.dims, &rows.bytes[..3]), ([3, 3, 1], &[5, 25, 40][..]));
     }
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::decode::{Extremes, near_zero, single};
 use crate::dtype::Dtype;
-use crate::padding::{NEAR, OF_CT, are_padding};
+use crate::padding::{GapNumbers, NEAR, OF_CT, are_padding};
 use crate::plan::Plan;
 use crate::units::may_be_hounsfield;
 
@@ -112,18 +112,8 @@ impl Tally {
         self.num_not_finite
     }
 
-    /// The number that marks voxels without a value.
+    /// The number that marks voxels without a value, in a file that says nothing about that.
     pub(super) fn gap(&self, plan: &Plan) -> Option<f64> {
-        let (slope, intercept) = plan.value_map;
-        let number_of = |value: f64| {
-            let number = (value - intercept) / slope;
-            if plan.dtype.num_bytes_in_memory() < 4 { number.round() } else { number }
-        };
-        let mut told = plan.missing.values.iter().map(|value| number_of(*value)).filter(|x| x.is_finite());
-        if !plan.missing.values.is_empty() {
-            let first = told.clone().next();
-            return told.find(|number| self.may_have(*number)).or(first);
-        }
         let (least, greatest) = self.extremes.range();
         if plan.dtype.integer_range().is_none() && plan.has_gaps {
             let filled = match self.num_not_finite {
@@ -137,15 +127,13 @@ impl Tally {
                 return None;
             }
         }
-        if plan.missing.valid.is_some() {
-            return None;
-        }
+        let (slope, intercept) = plan.value_map;
         let value = |x: f32| (f64::from(x) * slope + intercept) as f32;
         let (lo, hi) = (value(least).min(value(greatest)), value(least).max(value(greatest)));
         let outside = OF_CT.iter().position(|outside| *outside == lo)?;
         let [equal, beside] = self.of_ct[outside];
         let is_padding = may_be_hounsfield(lo, hi) && are_padding(equal, beside, self.num);
-        is_padding.then(|| number_of(lo.into()))
+        is_padding.then(|| number_of(plan, lo.into()))
     }
 
     /// Whether a number may occur.
@@ -153,6 +141,26 @@ impl Tally {
         let (least, greatest) = self.extremes.range();
         (f64::from(least)..=f64::from(greatest)).contains(&number)
     }
+}
+
+/// The numbers that mark voxels without a value, as the file tells them.
+pub(super) fn told_gaps(plan: &Plan) -> GapNumbers {
+    let told = plan.missing.values.iter().map(|value| number_of(plan, *value));
+    let mut numbers: Vec<f64> = told.filter(|x| x.is_finite()).collect();
+    numbers.dedup();
+    let valid = plan.missing.valid.map(|(lo, hi)| {
+        let (a, b) = (number_of(plan, lo), number_of(plan, hi));
+        // JSON has no infinite numbers.
+        (a.min(b).max(f64::MIN), a.max(b).min(f64::MAX))
+    });
+    GapNumbers { numbers, valid }
+}
+
+/// The stored number of a value.
+fn number_of(plan: &Plan, value: f64) -> f64 {
+    let (slope, intercept) = plan.value_map;
+    let number = (value - intercept) / slope;
+    if plan.dtype.num_bytes_in_memory() < 4 { number.round() } else { number }
 }
 
 /// The gap that all volumes of an image share, if each that may have the number takes it for one.

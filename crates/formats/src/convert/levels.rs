@@ -34,7 +34,7 @@ impl Conversion<'_> {
         let [nx, ny, nz] = array.num_chunks();
         let (volume, z) = (step / nz, step % nz);
         let of = [volume / self.num_channels(), volume % self.num_channels()];
-        let rule = rules[volume as usize];
+        let rule = &rules[volume as usize];
         let factors = self.levels[level].factors;
         let (cancel, path, dtype) = (self.options.cancel, &self.path, self.plan.dtype);
         let write = |i: u64| {

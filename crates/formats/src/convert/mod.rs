@@ -19,12 +19,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use self::average::Rule;
-use self::gaps::{Tally, shared_gap};
+use self::gaps::{Tally, shared_gap, told_gaps};
 use self::layout::Layout;
 use self::part::{Journal, PartFolder, files_of};
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
 use crate::outline::Level;
+use crate::padding::GapNumbers;
 use crate::plan::{Chosen, Plan, Role, VolumeFile};
 use crate::reading::Meaning;
 use crate::selection::{Region, Selection};
@@ -191,29 +192,33 @@ impl<'a> Conversion<'a> {
 
     /// Writes everything into the unfinished result.
     fn make(&mut self) -> Result<Converted, FormatError> {
-        self.describe(false, None)?;
+        self.describe(false, &GapNumbers::default())?;
         self.part.note(&self.journal)?;
-        let mut notes = self.write_finest()?;
+        let notes = self.write_finest()?;
         let are_labels = match self.journal.are_labels {
             Some(known) => known,
             None => self.are_labels(),
         };
         self.journal.are_labels = Some(are_labels);
-        let gap = |tally: &Tally| tally.gap(&self.plan).filter(|_| !are_labels);
+        let told = Some(told_gaps(&self.plan)).filter(|told| !are_labels && *told != GapNumbers::default());
+        let gap = |tally: &Tally| tally.gap(&self.plan).filter(|_| !are_labels && told.is_none());
         let gaps: Vec<_> = self.journal.tallies.iter().map(gap).collect();
-        self.describe(are_labels, shared_gap(&self.journal.tallies, &gaps))?;
+        let one = |gap: Option<f64>| GapNumbers { numbers: gap.into_iter().collect(), valid: None };
+        let all = told.clone().unwrap_or_else(|| one(shared_gap(&self.journal.tallies, &gaps)));
+        self.describe(are_labels, &all)?;
         self.part.note(&self.journal)?;
-        let rules: Vec<Rule> =
-            gaps.iter().map(|gap| if are_labels { Rule::Majority } else { Rule::Mean(*gap) }).collect();
+        let rule = |gap: &Option<f64>| match &told {
+            _ if are_labels => Rule::Majority,
+            Some(told) => Rule::Mean(told.clone()),
+            None => Rule::Mean(one(*gap)),
+        };
+        let rules: Vec<Rule> = gaps.iter().map(rule).collect();
         self.write_coarser(&rules)?;
-        if !are_labels && self.plan.missing.are_several() {
-            notes.push(SEVERAL_GAPS.to_owned());
-        }
         Ok(Converted { are_labels, notes })
     }
 
     /// Writes the metadata.
-    fn describe(&self, are_labels: bool, gap: Option<f64>) -> Result<(), FormatError> {
+    fn describe(&self, are_labels: bool, gaps: &GapNumbers) -> Result<(), FormatError> {
         let folder = self.part.image();
         let [x, y, z] = self.layout.dims;
         let levels = &self.levels;
@@ -232,7 +237,7 @@ impl<'a> Conversion<'a> {
             num_channels: several(self.num_channels()),
             channels: from..from + self.num_channels(),
             are_labels,
-            gap,
+            gaps,
         };
         for array in &self.arrays {
             array.describe(&facts.of_array())?;
@@ -396,9 +401,6 @@ fn fingerprint(source: &str, path: &Path, options: &OpenOptions, plan: &Plan, nu
 
 /// Voxels along a side of a chunk.
 const SIDE: u64 = 64;
-/// What is said of a file with several numbers for no value.
-const SEVERAL_GAPS: &str =
-    "the file has several numbers for no value; the image has one, and the others are values in it";
 /// Chunks that a thread has in memory at once: eight of the level above, one that is made, and its packed forms.
 const WORKING_CHUNKS: u64 = 12;
 const MOST_THREADS: u64 = 32;

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::gaps::Tally;
 use crate::error::{FormatError, io_error, shown};
-use crate::output::{PREFIX, SUFFIX, folder_of};
+use crate::output::{PREFIX, SUFFIX, folder_of, sync_folder, sync_folders, write_synced};
 
 /// The folder of an unfinished conversion, locked as long as this value lives.
 pub(super) struct PartFolder {
@@ -98,7 +98,7 @@ impl PartFolder {
         let (path, new) = (self.path.join(JOURNAL), self.path.join("journal.new"));
         let io = io_error(&path);
         let bytes = serde_json::to_vec(journal).map_err(|e| io(e.into()))?;
-        fs::write(&new, bytes).and_then(|()| fs::rename(&new, &path)).map_err(io)
+        write_synced(&new, &bytes).and_then(|()| fs::rename(&new, &path)).map_err(io)
     }
 
     /// Removes the folder, as far as the system lets it.
@@ -115,7 +115,10 @@ impl PartFolder {
         if fs::symlink_metadata(target).is_ok() {
             return Err(io(ErrorKind::AlreadyExists.into()));
         }
-        fs::rename(self.image(), target).map_err(io)?;
+        // A power cut now leaves the unfinished folder, and one later the whole image.
+        sync_folders(&self.image()).map_err(&io)?;
+        fs::rename(self.image(), target).map_err(&io)?;
+        sync_folder(folder_of(target)).map_err(io)?;
         // The image is whole; what remains of the folder does no harm.
         let _ = fs::remove_dir_all(&self.path);
         Ok(())

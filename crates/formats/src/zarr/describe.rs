@@ -7,6 +7,7 @@ use serde_json::{Map, Value, json};
 
 use super::pyramid::PyramidLevel;
 use crate::axes::World;
+use crate::padding::GapNumbers;
 use crate::plan::{ChannelLook, Plan};
 use crate::units::length_unit;
 
@@ -25,8 +26,8 @@ pub(crate) struct ImageFacts<'a> {
     /// Which channels of the plan they are.
     pub(crate) channels: Range<u64>,
     pub(crate) are_labels: bool,
-    /// The number of voxels without a value.
-    pub(crate) gap: Option<f64>,
+    /// The numbers of voxels without a value.
+    pub(crate) gaps: &'a GapNumbers,
 }
 
 impl ImageFacts<'_> {
@@ -63,7 +64,13 @@ impl ImageFacts<'_> {
             list.insert("scale_factor".into(), slope.into());
             list.insert("add_offset".into(), intercept.into());
         }
-        list.extend(self.gap.map(|gap| ("missing_value".to_owned(), gap.into())));
+        let missing = match &self.gaps.numbers[..] {
+            [] => None,
+            [one] => Some(Value::from(*one)),
+            several => Some(Value::from(several)),
+        };
+        list.extend(missing.map(|missing| ("missing_value".to_owned(), missing)));
+        list.extend(self.gaps.valid.map(|(lo, hi)| ("valid_range".to_owned(), json!([lo, hi]))));
         list.extend(self.plan.value_unit.clone().map(|unit| ("units".to_owned(), unit.into())));
         Value::Object(list)
     }

@@ -297,7 +297,8 @@ impl Multiscale {
         let look = |look: &ChannelLook| ChannelLook { window: look.window.map(in_values), ..*look };
         plan.channel_looks = self.looks.iter().map(look).collect();
         plan.value_map = values.map;
-        plan.missing.values.extend(values.missing);
+        plan.missing.values.extend(&values.missing);
+        plan.missing.valid = values.valid;
         plan.value_unit.clone_from(&values.unit);
         plan.modality.clone_from(&self.own.modality);
         if self.is_image && self.labels.is_none() {

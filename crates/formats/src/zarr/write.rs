@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
+use crate::output::write_synced;
 use crate::unpack::blosc;
 
 /// An array with axes t, c, z, y and x, of which t and c may be missing.
@@ -152,15 +153,15 @@ impl ArrayWriter {
 /// The system refuses.
 pub(crate) fn write_document(path: &Path, document: &Value) -> Result<(), FormatError> {
     let text = serde_json::to_string_pretty(document).map_err(|e| io_error(path)(io::Error::other(e)))?;
-    fs::write(path, text + "\n").map_err(io_error(path))
+    write_synced(path, (text + "\n").as_bytes()).map_err(io_error(path))
 }
 
 /// Writes a file, and its folder if that is missing.
 fn write_in_folder(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    match fs::write(path, bytes) {
+    match write_synced(path, bytes) {
         Err(e) if e.kind() == ErrorKind::NotFound => {
             path.parent().map_or(Ok(()), fs::create_dir_all)?;
-            fs::write(path, bytes)
+            write_synced(path, bytes)
         }
         done => done,
     }

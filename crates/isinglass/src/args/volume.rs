@@ -81,6 +81,13 @@ impl VolumeArgs {
         Ok((volume, before))
     }
 
+    /// Opens the volume within a limit of memory, by pages if it does not fit.
+    pub(crate) fn open_to_draw(&self, memory: &MemoryArgs) -> Result<Volume> {
+        let reading = self.part.reading();
+        let options = OpenOptions { by_pages: true, max_bytes: memory.bytes(), ..self.options(&reading) };
+        Ok(open(self.source()?, &options)?)
+    }
+
     /// The same volume at another time.
     pub(crate) fn at_time(&self, time: u32) -> Self {
         Self { part: PartArgs { time: Some(time), ..self.part.clone() }, ..self.clone() }
@@ -279,7 +286,7 @@ pub(crate) fn open_volume(
 /// Opens a volume to serve within a memory limit, with the rest of its file; large files show their progress.
 pub(crate) fn open_to_serve(volume: &VolumeArgs, look: &LookArgs, memory: &MemoryArgs) -> Result<OpenedFile> {
     let request = volume.volume_source()?.request(memory.bytes());
-    let options = request.options();
+    let options = OpenOptions { index_folder: index_folder(), ..request.options() };
     let loader = FileLoader::new(&request, look.tf.as_deref())?;
     let before = loader.outline(request.selection, 0).map_err(|e| anyhow!(e))?;
     let opened = show_progress(&before, |progress| {

@@ -143,7 +143,7 @@ fn make(args: &RenderArgs, given: Given, together: Option<&Together>) -> Result<
             Series::Times(times, _) => {
                 label = times[number as usize];
                 if number > 0 {
-                    let open = || scene_under(&at_values, &volume.at_time(label));
+                    let open = || scene_under(&at_values, &volume.at_time(label), &args.memory);
                     drawer = drawer.with_volume(open)?;
                 }
             }
@@ -318,8 +318,8 @@ impl FromStr for TimeRange {
 }
 
 /// Opens a volume under a look of values.
-fn scene_under(look: &Look, volume: &VolumeArgs) -> Result<Scene> {
-    let (volume, _) = volume.open()?;
+fn scene_under(look: &Look, volume: &VolumeArgs, memory: &MemoryArgs) -> Result<Scene> {
+    let volume = volume.open_to_draw(memory)?;
     let (channels, settings) = (look.channels.clone(), look.march_settings());
     Ok(Scene::with_channels(Arc::new(volume), &look.transfer, channels, settings))
 }

@@ -15,7 +15,7 @@ use isinglass_client::{
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::orbit::Orbit;
 use isinglass_formats::{
-    LoadRequest, Reading, Remembered, SavedState, Selection, is_address, load_transfer, source_exists,
+    Reading, Remembered, SavedState, Selection, VolumeSource, is_address, load_transfer, source_exists,
     state_from_link, write_whole,
 };
 use isinglass_net::{Client, ClientOptions, Clock, Link, LinkError, Tunnel, state_of_link};
@@ -225,8 +225,8 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
             return write_path(args.record.as_deref(), recorder.as_deref());
         }
         Some(Target::Volume(source)) => {
-            let max_bytes = limit;
-            Some(LoadRequest { source, raw, selection, spacing, max_bytes, foreign_files, reading })
+            let volume = VolumeSource { source, raw, selection, spacing, foreign_files, reading };
+            Some(volume.request(limit))
         }
         None if of_state => {
             let volume = VolumeArgs { volume: None, raw: args.raw, part: args.part };

@@ -53,8 +53,8 @@ pub(super) async fn read_slice(
     let read = {
         let mut talk = shared.talk.lock_quietly();
         match unpacked {
-            Ok(slice) => {
-                talk.slices.handle_slice(id, slice);
+            Ok((slice, is_draft)) => {
+                talk.slices.handle_slice(id, slice, is_draft);
                 Ok(())
             }
             Err(why) => {
@@ -68,7 +68,7 @@ pub(super) async fn read_slice(
 }
 
 /// Unpacks a slice on a thread that may block, because it takes longer than the network should wait.
-async fn unpack(shared: &Shared, bytes: Vec<u8>, size: [u32; 2]) -> Result<Slice, String> {
+async fn unpack(shared: &Shared, bytes: Vec<u8>, size: [u32; 2]) -> Result<(Slice, bool), String> {
     let _turn = shared.unpacking.acquire().await.map_err(|e| e.to_string())?;
     let unpacked = tokio::task::spawn_blocking(move || decode_slice(&bytes, size)).await;
     unpacked.map_err(|e| e.to_string())?.map_err(|e| e.to_string())

@@ -74,7 +74,7 @@ async fn a_draft_borrows_the_occlusion_of_its_own_viewer() {
     let volume = Arc::new(Builtin::Shells.volume(40));
     let scene = Scene::new(volume, &mine.transfer, mine.march_settings());
     let lights = Lights::new(&scene, &mine, false);
-    let of_other = lights.scene(&other).await.unwrap();
+    let of_other = lights.scene(&other, None).await.unwrap();
     let mut thread = thread(&scene, &mine, lights);
     let number = SceneNumber::default();
     let near = scene.illumination.occlusion();

@@ -4,12 +4,13 @@ use isinglass_core::wire::PoseRequest;
 
 use super::Viewer;
 use crate::generator::Generated;
-use crate::paging::FramePages;
 
-/// The pages of a viewer's newest frame.
+/// What is known of the pages of a viewer's newest frame. The pages themselves may be needed by nobody.
 #[derive(Clone, Debug)]
 pub(super) struct ShownPages {
-    pages: FramePages,
+    is_draft: bool,
+    /// Changes with the pages in memory.
+    version: u64,
     /// When it was made, µs.
     at: u64,
     /// How long that took, µs.
@@ -20,23 +21,24 @@ impl Viewer {
     /// A frame was made of these pages.
     pub(super) fn note_pages(&mut self, now: u64, generated: &Generated) {
         let Some(pages) = &generated.pages else { return };
+        let is_draft = pages.is_draft();
         {
             let mut talk = self.session.talk();
-            talk.look.handle_pages(pages.is_draft());
+            talk.look.handle_pages(is_draft);
             talk.pages.handle_progress(pages.progress);
         }
         self.shown_pages =
-            Some(ShownPages { pages: pages.clone(), at: now, took: generated.generate_micros });
+            Some(ShownPages { is_draft, version: pages.version, at: now, took: generated.generate_micros });
     }
 
     /// When the present pose needs a frame of more pages, µs; `None` if nothing is new.
     pub(super) fn pages_due(&self, now: u64, request: &PoseRequest) -> Option<u64> {
-        let ShownPages { pages, at, took } =
-            self.shown_pages.as_ref().filter(|shown| shown.pages.is_draft())?;
+        let ShownPages { version, at, took, .. } =
+            self.shown_pages.as_ref().filter(|shown| shown.is_draft)?;
         if self.resting_pose != Some(request.id) {
             return Some(at + REST_MICROS);
         }
-        let is_new = *self.page_changes.as_ref()?.borrow() != pages.version;
+        let is_new = *self.page_changes.as_ref()?.borrow() != *version;
         // The last pages are shown at once.
         let viewer = self.session.viewer;
         let is_complete = || self.present.pager.as_ref().is_some_and(|pager| !pager.is_loading(viewer));

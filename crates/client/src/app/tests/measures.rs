@@ -89,7 +89,8 @@ fn the_values_along_a_line_are_the_server_s_and_go_to_a_csv_file() {
         ends: [ends[0].to_array(), ends[1].to_array()],
         num_points: answer.values.len() as u16,
     };
-    assert_eq!(answer, question.answer(&w.state().viewing.source().here().scene.volume.clone()));
+    let volume = w.state().viewing.source().here().scene.volume.clone();
+    assert_eq!(answer, question.answer(&mut &*volume));
     assert!(w.query_by_label_contains("values along").is_some());
 
     let folder = tempfile::TempDir::new().unwrap();

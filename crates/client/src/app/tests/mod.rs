@@ -115,10 +115,10 @@ impl HereSource {
                 }
                 ClientMessage::Probe(question) => {
                     here.num_probes += 1;
-                    session.probe.handle_answer(question.answer(&here.scene.volume));
+                    session.probe.handle_answer(question.answer(&mut &*here.scene.volume));
                 }
                 ClientMessage::Profile(question) => {
-                    session.profile.handle_answer(question.answer(&here.scene.volume));
+                    session.profile.handle_answer(question.answer(&mut &*here.scene.volume));
                 }
                 ClientMessage::TakeScreenshot(shot) => {
                     here.num_shots += 1;
@@ -137,7 +137,7 @@ impl HereSource {
                     here.num_wanted_slices = list.slices.len();
                     for wanted in list.slices.iter().filter(|_| !here.sleeps) {
                         let slice = Slice::of(&here.scene.volume, &wanted.spec, ALWAYS).unwrap();
-                        session.slices.handle_slice(wanted.id, slice);
+                        session.slices.handle_slice(wanted.id, slice, false);
                     }
                 }
                 _ => {}

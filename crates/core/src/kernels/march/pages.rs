@@ -30,8 +30,8 @@ pub struct PageLook {
     pub is_visible: bool,
     /// Brightness of its voxels.
     lit: Option<Arc<Lit>>,
-    /// Whether the brightness is that of another look, until its own is there.
-    is_draft: bool,
+    /// The brightness of the coarsest level that the same inputs made.
+    lit_for: Option<Arc<Lit>>,
 }
 
 impl PageLook {
@@ -39,12 +39,24 @@ impl PageLook {
     pub fn lit(&self) -> Option<&Arc<Lit>> {
         self.lit.as_ref()
     }
+
+    /// Whether it is as bright as the inputs of that brightness of the coarsest level make it.
+    fn is_lit_for(&self, lit: Option<&Arc<Lit>>) -> bool {
+        self.lit_for.as_ref().map(Arc::as_ptr) == lit.map(Arc::as_ptr)
+    }
+}
+
+/// A page that is lit.
+#[derive(Clone, Debug)]
+pub struct LitPage {
+    page: Arc<Page>,
+    look: Arc<PageLook>,
 }
 
 impl ScenePages {
-    /// Whether every page is lit by the scene's own light.
-    pub fn is_final(&self) -> bool {
-        self.looks.iter().all(|look| !look.is_draft)
+    /// Whether every page is lit by the light of that brightness of the coarsest level.
+    pub(super) fn are_lit_for(&self, lit: Option<&Arc<Lit>>) -> bool {
+        self.looks.iter().all(|look| look.is_lit_for(lit))
     }
 }
 
@@ -68,35 +80,65 @@ impl Scene {
         let known: HashMap<PageId, (&Arc<Page>, &Arc<PageLook>)> =
             pages_before.into_iter().flatten().map(|(page, look)| (page.id, (page, look))).collect();
         let is_alike = with_pages.is_some_and(|(before, _)| before.is_seen_like(self));
-        let is_lit_alike = with_pages.is_some_and(|(before, _)| before.is_lit_like(self));
-        let can_wait = self.settings.detail == Detail::Draft;
         let look = |page: &Arc<Page>| {
-            let known =
-                known.get(&page.id).filter(|(known, _)| Arc::ptr_eq(known, page)).map(|(_, look)| *look);
-            if let Some(known) = known.filter(|known| is_alike && is_lit_alike && !known.is_draft) {
-                return known.clone();
+            let known = known.get(&page.id).filter(|(known, _)| Arc::ptr_eq(known, page));
+            let known = known.map(|(_, look)| *look);
+            match known.filter(|known| is_alike && known.is_lit_for(self.illumination.lit())) {
+                Some(known) => known.clone(),
+                None => Arc::new(self.look_at_page(page, known.map(|known| (&**known, is_alike)))),
             }
-            let occupancy = match known.filter(|_| is_alike) {
-                Some(known) => known.occupancy.clone(),
-                None => self.occupancy_of(page),
-            };
-            let is_visible = !page.is_nothing && occupancy.words.iter().any(|word| has_zero_byte(*word));
-            let is_lit = self.illumination.lit().is_some();
-            let known = known.filter(|known| known.lit.is_some());
-            let (lit, is_draft) = match known {
-                _ if !is_lit => (None, false),
-                Some(known) if is_lit_alike && !known.is_draft => (known.lit.clone(), false),
-                Some(known) if can_wait => (known.lit.clone(), true),
-                // What nobody sees needs no light.
-                _ if !is_visible => (None, false),
-                _ => (self.light_of(page).map(Arc::new), false),
-            };
-            // A march of a lit scene expects light everywhere.
-            let is_visible = is_visible && (lit.is_some() || !is_lit);
-            Arc::new(PageLook { occupancy, is_visible, lit, is_draft })
         };
         let looks = set.pages().par_iter().map(look).collect();
         ScenePages { set, looks }
+    }
+
+    /// A page under this scene's look. `known` is what it was before, and whether the same was visible then.
+    fn look_at_page(&self, page: &Page, known: Option<(&PageLook, bool)>) -> PageLook {
+        let (own, can_wait) = (self.illumination.lit(), self.settings.detail == Detail::Draft);
+        let occupancy = match known.filter(|(_, is_alike)| *is_alike) {
+            Some((known, _)) => known.occupancy.clone(),
+            None => self.occupancy_of(page),
+        };
+        let is_visible = !page.is_nothing && occupancy.words.iter().any(|word| has_zero_byte(*word));
+        let known = known.map(|(known, _)| known).filter(|known| known.lit.is_some());
+        let (lit, lit_for) = match known {
+            _ if own.is_none() => (None, None),
+            Some(known) if known.is_lit_for(own) => (known.lit.clone(), own),
+            Some(known) if can_wait => (known.lit.clone(), known.lit_for.as_ref()),
+            // What nobody sees needs no light.
+            _ if !is_visible => (None, own),
+            _ => (self.light_of(page).map(Arc::new), own),
+        };
+        // A march of a lit scene expects light everywhere.
+        let is_visible = is_visible && (lit.is_some() || own.is_none());
+        PageLook { occupancy, is_visible, lit, lit_for: lit_for.cloned() }
+    }
+
+    /// At most `max_pages` of the shown pages that the light of `lit` has not reached.
+    pub fn pages_to_light(&self, lit: &Self, max_pages: usize) -> Vec<Arc<Page>> {
+        let Some(pages) = &self.pages else { return Vec::new() };
+        let all = pages.set.pages().iter().zip(&pages.looks);
+        let dark = all.filter(|(_, look)| !look.is_lit_for(lit.illumination.lit()));
+        dark.take(max_pages).map(|(page, _)| page.clone()).collect()
+    }
+
+    /// Pages under this scene's look, with its light.
+    pub fn light_pages(&self, pages: Vec<Arc<Page>>) -> Vec<LitPage> {
+        let light = |page: Arc<Page>| LitPage { look: Arc::new(self.look_at_page(&page, None)), page };
+        pages.into_iter().map(light).collect()
+    }
+
+    /// The same scene with some pages as they were lit elsewhere.
+    pub fn with_lit_pages(&self, lit: &[LitPage]) -> Self {
+        let Some(pages) = &self.pages else { return self.clone() };
+        let lit: HashMap<PageId, &LitPage> = lit.iter().map(|lit| (lit.page.id, lit)).collect();
+        let all = pages.set.pages().iter().zip(&pages.looks);
+        let newest = |(page, look): (&Arc<Page>, &Arc<PageLook>)| match lit.get(&page.id) {
+            Some(lit) if Arc::ptr_eq(&lit.page, page) => lit.look.clone(),
+            _ => look.clone(),
+        };
+        let looks = all.map(newest).collect();
+        Self { pages: Some(ScenePages { set: pages.set.clone(), looks }), ..self.clone() }
     }
 
     /// The voxels in a page of the channel that is marched first.
@@ -155,14 +197,6 @@ impl Scene {
         (self.settings.mode, self.first_channel, &self.surfaces, self.blend)
             == (other.settings.mode, other.first_channel, &other.surfaces, other.blend)
             && self.tables().eq(other.tables())
-    }
-
-    /// Whether a page is as bright in both: the same inputs made the brightness of the coarsest level.
-    fn is_lit_like(&self, other: &Self) -> bool {
-        match (self.illumination.lit(), other.illumination.lit()) {
-            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
-            (a, b) => a.is_none() && b.is_none(),
-        }
     }
 }
 

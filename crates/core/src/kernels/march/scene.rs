@@ -238,7 +238,8 @@ impl Scene {
 
     /// Whether the brightness is that of the look, in its final detail.
     pub fn is_final(&self) -> bool {
-        self.illumination.is_final() && self.pages.as_ref().is_none_or(ScenePages::is_final)
+        let lit = self.illumination.lit();
+        self.illumination.is_final() && self.pages.as_ref().is_none_or(|pages| pages.are_lit_for(lit))
     }
 
     /// Whether the march mixes channels, or reads labels.

@@ -1,0 +1,81 @@
+//! What a viewer asks of single points. Of a volume that is read by pages, the answer first has what is in memory, and
+//! finer values when those are read.
+
+use std::sync::Arc;
+
+use isinglass_core::session::ServerSession;
+use isinglass_core::session::inquiry::{InquiryServer, Question};
+use isinglass_net::server::Control;
+
+use crate::give_up::GiveUp;
+use crate::paging::Pager;
+use crate::selection::Present;
+
+/// The answers that are being read. When this is dropped, all are given up.
+pub(super) struct Inquiries {
+    control: Control,
+    probe: Option<GiveUp>,
+    profile: Option<GiveUp>,
+}
+
+impl Inquiries {
+    pub(super) fn new(control: Control) -> Self {
+        Self { control, probe: None, profile: None }
+    }
+
+    /// Answers what is asked.
+    pub(super) fn answer(&mut self, talk: &mut ServerSession, present: &Arc<Present>) {
+        if talk.probe.is_asked() {
+            let coarse = answer_known(&mut talk.probe, present);
+            self.probe = coarse.and_then(|q| self.read(q, present, |talk, a| talk.probe.handle_finer(a)));
+        }
+        if talk.profile.is_asked() {
+            let coarse = answer_known(&mut talk.profile, present);
+            self.profile = coarse.and_then(|q| self.read(q, present, |talk, a| talk.profile.handle_finer(a)));
+        }
+    }
+
+    /// Reads the finest values, and gives them to the session.
+    fn read<Q>(
+        &self,
+        question: Q,
+        present: &Arc<Present>,
+        give: impl FnOnce(&mut ServerSession, Q::Answer) + Send + 'static,
+    ) -> Option<GiveUp>
+    where
+        Q: Question + Send + 'static,
+        Q::Answer: Send + 'static,
+    {
+        let pager: Pager = present.pager.clone()?;
+        let (given_up, present, control) = (GiveUp::default(), present.clone(), self.control.clone());
+        let wanted = given_up.wanted();
+        tokio::spawn(async move {
+            let is_wanted = wanted.clone();
+            let work = tokio::task::spawn_blocking(move || {
+                pager.with_values(present.lights.volume(), Some(0), &is_wanted, |values| {
+                    question.answer_from(&mut values.cursor())
+                })
+            });
+            if let Ok(answer) = work.await
+                && wanted()
+            {
+                give(&mut control.talk(), answer);
+            }
+        });
+        Some(given_up)
+    }
+}
+
+/// Answers from what is in memory. Returns the question if finer values may be read.
+fn answer_known<Q: Question>(inquiry: &mut InquiryServer<Q>, present: &Present) -> Option<Q> {
+    let volume = present.lights.volume();
+    let Some(pager) = &present.pager else {
+        inquiry.answer(&mut &*volume);
+        return None;
+    };
+    pager.with_values(volume, None, &|| true, |values| {
+        let mut cursor = values.cursor();
+        let question = inquiry.answer(&mut cursor);
+        question.filter(|_| cursor.coarsest() > 0)
+    })
+}
