@@ -201,6 +201,13 @@ impl Dispatch {
         (place, jobs)
     }
 
+    /// Ends all threads: a driver may crash when a process ends while a thread uses it. Work that takes long is left
+    /// behind.
+    pub(crate) async fn stop(&self) {
+        let stopped = self.tell_all(|reply| Job::Stop { reply });
+        let _ = tokio::time::timeout(MOST_FOR_STOPPING, stopped).await;
+    }
+
     /// Gives a job to each thread that runs, and waits until all are done.
     pub(crate) async fn tell_all(&self, job: impl Fn(oneshot::Sender<()>) -> Job) {
         let running: Vec<_> = self.0.state().slots.iter().filter_map(|slot| slot.jobs.clone()).collect();
@@ -436,3 +443,5 @@ impl RenderThreads {
 
 /// Most jobs on their way to a thread. Every viewer waits for one frame and one piece of a picture at most.
 const MAX_JOBS: usize = 16;
+/// Time in which threads end.
+const MOST_FOR_STOPPING: Duration = Duration::from_secs(5);

@@ -95,6 +95,8 @@ pub(crate) async fn serve(
     }
     reader.abort();
     server.close().await;
+    viewers.shutdown().await;
+    common.generator.dispatch.stop().await;
 }
 
 /// One viewer: turns its newest pose into frames until the connection ends.
