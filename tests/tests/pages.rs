@@ -15,8 +15,8 @@ use isinglass_core::layer::FrameHeader;
 use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::{
-    Detail, FoundVoxel, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, SlabMode, Slice, SlicePlane, SliceSpec,
-    ValuesAt, Volume, VoxelKind, Voxels, page_of,
+    Detail, FoundVoxel, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, SlabMode, Slice, SlicePlane,
+    SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
 };
 use isinglass_tests::levels::{
     Levels, cameras, coarser, other_channel, pinned, settings, transfer, volume_of,

@@ -78,7 +78,7 @@ impl LocalServers for Locals {
             }
             None => Look { channels: opened.channels, ..Look::new(opened.transfer) },
         };
-        let bytes = opened.volume.bytes_in_memory();
+        let bytes = memory::of_volume(&opened.volume);
         let options = ServeOptions {
             volume: opened.volume,
             look,

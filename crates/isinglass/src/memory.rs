@@ -2,6 +2,7 @@
 
 use clap::Args;
 use isinglass_client::format_bytes;
+use isinglass_core::volume::Volume;
 
 /// The limit, and its default.
 #[derive(Args, Clone, Debug, Default)]
@@ -19,9 +20,14 @@ impl MemoryArgs {
     }
 
     /// Most memory of all frames beside a volume, bytes.
-    pub(crate) fn frame_bytes(&self, volume_bytes: u64) -> u64 {
-        of_frames(self.bytes(), volume_bytes)
+    pub(crate) fn frame_bytes(&self, volume: &Volume) -> u64 {
+        of_frames(self.bytes(), of_volume(volume))
     }
+}
+
+/// Memory of a volume, its pages included, bytes.
+pub(crate) fn of_volume(volume: &Volume) -> u64 {
+    volume.bytes_in_memory() + volume.paging().map_or(0, |paging| paging.max_bytes)
 }
 
 /// Most memory of all frames beside a volume, bytes: what the volume leaves, within bounds. Without frames nobody sees

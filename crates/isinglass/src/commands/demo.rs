@@ -171,7 +171,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
     let ((size, state_sets_size), state) = seen.window(size, args.fov, &args.window, &Remembered::default());
     // The server already has the look with its flags.
     let state = Some(SavedState { look: None, ..state });
-    let bytes = opened.volume.bytes_in_memory();
+    let frame_memory = args.memory.frame_bytes(&opened.volume);
     let options = ServeOptions {
         volume: opened.volume,
         look,
@@ -179,7 +179,7 @@ fn window(args: DemoArgs, link: LinkModel, given: Given) -> Result<()> {
         listen: ([127, 0, 0, 1], 0).into(),
         plan: args.plan.plan(None),
         max_viewers: 1,
-        frame_memory: args.memory.frame_bytes(bytes),
+        frame_memory,
         library: Some(opened.library),
         timing: Timing::default(),
     };

@@ -129,7 +129,7 @@ fn serve(
     // A viewer that follows the link opens the state at once.
     let state = seen.for_link(&look);
     let description = devices.description();
-    let bytes = volume.bytes_in_memory();
+    let frame_memory = args.memory.frame_bytes(&volume);
     let options = ServeOptions {
         volume,
         look,
@@ -137,7 +137,7 @@ fn serve(
         listen: args.listen,
         plan: args.plan.plan(args.rate),
         max_viewers: args.viewers,
-        frame_memory: args.memory.frame_bytes(bytes),
+        frame_memory,
         library,
         timing: Timing::default(),
     };
