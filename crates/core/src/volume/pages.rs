@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::bricks::Bricks;
+use super::bricks::{BRICK, Bricks};
 use super::grid::{Volume, VolumeError, VolumeInfo, Voxels};
 use super::pyramid::{Finest, PAGE_POINTS, PageId, PageVoxels, Pyramid};
 
@@ -46,9 +46,13 @@ impl Page {
         channel.checked_sub(1).and_then(|i| self.volume.others().get(i)).map_or(&self.volume, |other| other)
     }
 
-    /// Memory of the voxels of all channels and of their brightness, bytes.
+    /// Memory of the voxels of all channels, of their brightness, and of what is known of their bricks, bytes.
     pub fn num_bytes(&self) -> u64 {
-        self.volume.bytes_in_memory()
+        let of_brick = size_of::<(f32, f32)>() * self.bricks.len() + 2;
+        let num_bricks = PAGE_POINTS.div_ceil(BRICK).pow(3) as usize;
+        // A system hands out whole pages of its own.
+        let rounding = SYSTEM_PAGE * (self.bricks.len() + 1);
+        self.volume.bytes_in_memory() + (num_bricks * of_brick + rounding) as u64
     }
 }
 
@@ -126,6 +130,9 @@ fn cut<T: Copy>(texels: &[T], dims: [u32; 3], first: [u32; 3], side: usize) -> V
     }
     out
 }
+
+/// The unit in which systems hand out large blocks of memory, bytes.
+const SYSTEM_PAGE: usize = 4096;
 
 /// The pages that stand for the parts of a volume: for each the finest one that is there.
 #[derive(Debug)]

@@ -44,8 +44,8 @@ impl PagedFile {
     pub fn into_volume(self, max_bytes: u64) -> Volume {
         let Self { base, source, index, .. } = self;
         let ranges = index.map(|index| index as Arc<dyn PageRanges>);
-        // What is kept of the file, a sixteenth for light and tables, and the base.
-        let max_bytes = max_bytes.saturating_sub(max_bytes / 8 + max_bytes / 16 + base.bytes_in_memory());
+        // What is kept of the file, three parts of 32 for tables and what is under way, and the base.
+        let max_bytes = max_bytes.saturating_sub(max_bytes / 8 + max_bytes / 32 * 3 + base.bytes_in_memory());
         base.with_paging(Paging { source, ranges, max_bytes })
     }
 
