@@ -265,22 +265,20 @@ impl Dispatch {
             (device, tokio::task::spawn_blocking(move || backend.renderer(scene)))
         };
         let making: Vec<_> = used.into_iter().map(make).collect();
-        let (mut made, mut full) = (Vec::new(), Vec::new());
+        let mut made = Vec::new();
         for (device, making) in making {
             match making.await {
                 Ok(Ok(renderer)) => made.push((device, renderer)),
                 Ok(Err(e)) if e.asks_for_cpu() => {
                     tracing::info!("there is no room for both parts: {e}");
-                    full.push(device);
                 }
                 Ok(Err(e)) => return Err(e),
                 Err(e) => {
                     tracing::error!("no renderer: {e}");
-                    full.push(device);
                 }
             }
         }
-        self.0.replace(shown, made, full).await;
+        self.0.replace(shown, made).await;
         Ok(())
     }
 
@@ -401,10 +399,12 @@ impl RenderThreads {
         state.placement.lose(device).then_some(())
     }
 
-    /// Puts a scene in the place of the one before: on the devices of `made` at once. Those that are `full` make room
+    /// Puts a scene in the place of the one before: on the devices of `made` at once. Others make room
     /// first, and get it when somebody needs them.
-    async fn replace(self: &Arc<Self>, shown: ShownScene, made: Vec<(usize, Renderer)>, full: Vec<usize>) {
+    async fn replace(self: &Arc<Self>, shown: ShownScene, made: Vec<(usize, Renderer)>) {
         let mut answers = Vec::new();
+        let has_new: Vec<usize> = made.iter().map(|(device, _)| *device).collect();
+        let full: Vec<usize>;
         {
             let mut state = self.state();
             state.shown = shown;
@@ -414,6 +414,9 @@ impl RenderThreads {
                 let job = Job::Replace { state: thread, reply };
                 answers.push((state.slots[device].jobs.clone(), job, answer));
             }
+            // Some got ready meanwhile, with the scene before.
+            let is_full = |device: &usize| !has_new.contains(device) && state.slots[*device].jobs.is_some();
+            full = (0..state.slots.len()).filter(is_full).collect();
             for &device in &full {
                 state.placement.set(device, Device::Busy);
                 let (reply, answer) = oneshot::channel();

@@ -121,6 +121,8 @@ pub(crate) enum Job {
     /// Shows pages that are lit.
     Light {
         scene: SceneNumber,
+        /// The scene that they are lit for.
+        lit: Arc<Scene>,
         pages: Arc<[LitPage]>,
         reply: oneshot::Sender<()>,
     },
@@ -217,24 +219,31 @@ impl Generator {
     pub(crate) async fn forget_pages(&self, scene: SceneNumber, lights: &Lights) {
         lights.forget_pages();
         self.dispatch.tell_all(|reply| Job::ForgetPages { scene, reply }).await;
+        // A thread may have noted its pages meanwhile.
+        lights.forget_pages();
     }
 
     /// Lights all pages that were shown last as `lit` does, piece by piece and beside the frames. All threads show each
     /// piece as soon as it is there, so that no page has two lights for long.
     pub(crate) async fn light_pages(&self, scene: SceneNumber, lights: &Lights, lit: &Scene) {
         let mut pages: Arc<[LitPage]> = Arc::new([]);
+        let lit = Arc::new(lit.clone());
         for _ in 0..MAX_PIECES {
-            let dark = lights.pages_to_light(lit, &pages);
+            let (of, for_scene, new) = (lights.clone(), lit.clone(), pages.clone());
+            // A rendering thread may hold what this waits for.
+            let dark = tokio::task::spawn_blocking(move || of.pages_to_light(&for_scene, &new)).await;
+            let Ok(dark) = dark else { return };
             if !pages.is_empty() {
-                self.dispatch.tell_all(|reply| Job::Light { scene, pages: pages.clone(), reply }).await;
+                let job = |reply| Job::Light { scene, lit: lit.clone(), pages: pages.clone(), reply };
+                self.dispatch.tell_all(job).await;
             }
             if dark.is_empty() {
                 return;
             }
-            let (lit, lighters) = (lit.clone(), self.lighters.clone());
-            let work = tokio::task::spawn_blocking(move || lighters.install(|| lit.light_pages(dark)));
-            let Ok(lit) = work.await else { return };
-            pages = lit.into();
+            let (of, lighters) = (lit.clone(), self.lighters.clone());
+            let work = tokio::task::spawn_blocking(move || lighters.install(|| of.light_pages(dark)));
+            let Ok(made) = work.await else { return };
+            pages = made.into();
         }
     }
 

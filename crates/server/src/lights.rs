@@ -99,7 +99,8 @@ impl Lights {
     /// reached.
     pub(crate) fn pages_to_light(&self, lit: &Scene, pages: &[LitPage]) -> Vec<Arc<Page>> {
         let mut newest = lock(&self.paged);
-        let Some(paged) = &mut *newest else { return Vec::new() };
+        // Pages under another look have other visible bricks.
+        let Some(paged) = newest.as_mut().filter(|paged| paged.is_seen_like(lit)) else { return Vec::new() };
         if !pages.is_empty() {
             *paged = paged.with_lit_pages(pages);
         }

@@ -132,16 +132,18 @@ impl RenderThread {
         let work = match job {
             Job::Frame(job) => Waiting::Frame(job),
             Job::Rows(job) => Waiting::Rows(job),
-            Job::Light { scene, pages, reply } => {
-                if scene == self.scene {
-                    self.light(&pages);
+            Job::Light { scene, lit, pages, reply } => {
+                if scene == self.scene
+                    && let Err(e) = self.attempt(|state| state.light(&lit, &pages))
+                {
+                    tracing::error!("pages keep their light: {e}");
                 }
                 let _ = reply.send(());
                 return None;
             }
             Job::ForgetPages { scene, reply } => {
                 if scene == self.scene
-                    && let Err(e) = self.show(None)
+                    && let Err(e) = self.attempt(|state| state.show(None))
                 {
                     tracing::error!("the pages stay: {e}");
                 }
@@ -346,11 +348,14 @@ impl RenderThread {
     }
 
     /// Shows pages that are lit: the renderer keeps no brightness that nobody shows any more.
-    fn light(&mut self, pages: &[LitPage]) {
-        let scene = self.renderer.scene().with_lit_pages(pages);
-        if let Err(e) = self.renderer.set_scene(scene) {
-            tracing::error!("pages keep their light: {e}");
+    fn light(&mut self, lit: &Scene, pages: &[LitPage]) -> Result<(), GenerateError> {
+        let shown = self.renderer.scene();
+        // Pages under another look have other visible bricks.
+        if shown.is_seen_like(lit) {
+            let scene = shown.with_lit_pages(pages);
+            self.renderer.set_scene(scene)?;
         }
+        Ok(())
     }
 
     fn is_final(&self) -> bool {

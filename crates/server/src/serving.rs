@@ -320,6 +320,7 @@ impl Viewer {
             talk.slices.handle_volume(since);
         }
         self.frames.handle_volume();
+        self.inquiries.give_up();
         self.session.talk().pages.handle_volume();
         (self.shown_pages, self.resting_pose) = (None, None);
         self.page_changes = self.present.pager.as_ref().map(Pager::changes);

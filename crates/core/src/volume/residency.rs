@@ -295,6 +295,8 @@ pub struct Residency {
     failed: HashMap<PageId, u8>,
     plans: Vec<(PlanKey, PagePlan)>,
     max_pages: usize,
+    /// What the renderer has memory for, beside the coarsest level.
+    limit: usize,
     /// Which viewer's page is read next.
     turn: usize,
     /// See [`Self::version`].
@@ -305,7 +307,18 @@ impl Residency {
     /// Begins with the pages of the coarsest level, and memory for so many others.
     pub fn new(pyramid: Arc<Pyramid>, base: Vec<Arc<Page>>, max_pages: usize) -> Self {
         let (resident, reading, failed) = Default::default();
-        Self { pyramid, base, resident, reading, failed, plans: Vec::new(), max_pages, turn: 0, version: 0 }
+        Self {
+            pyramid,
+            base,
+            resident,
+            reading,
+            failed,
+            plans: Vec::new(),
+            max_pages,
+            limit: usize::MAX,
+            turn: 0,
+            version: 0,
+        }
     }
 
     /// The levels.
@@ -315,7 +328,8 @@ impl Residency {
 
     /// There is memory for at most so many pages in all, those of the coarsest level among them.
     pub fn limit(&mut self, most: usize) {
-        self.max_pages = self.max_pages.min(most.saturating_sub(self.base.len()));
+        self.limit = self.limit.min(most.saturating_sub(self.base.len()));
+        self.max_pages = self.max_pages.min(self.limit);
         self.evict();
     }
 
@@ -328,7 +342,7 @@ impl Residency {
 
     /// There is memory for so many pages from now on. Without any, all pages and plans are forgotten.
     pub fn set_room(&mut self, max_pages: usize) {
-        self.max_pages = max_pages;
+        self.max_pages = max_pages.min(self.limit);
         self.version += 1;
         if max_pages == 0 {
             self.plans.clear();

@@ -23,6 +23,11 @@ impl Inquiries {
         Self { control, probe: None, profile: None }
     }
 
+    /// Another volume is shown: what is looked up in the one before is of no use.
+    pub(super) fn give_up(&mut self) {
+        (self.probe, self.profile) = (None, None);
+    }
+
     /// Answers what is asked.
     pub(super) fn answer(&mut self, talk: &mut ServerSession, present: &Arc<Present>) {
         if talk.probe.is_asked() {
