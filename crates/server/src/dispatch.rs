@@ -399,8 +399,8 @@ impl RenderThreads {
         state.placement.lose(device).then_some(())
     }
 
-    /// Puts a scene in the place of the one before: on the devices of `made` at once. Others make room
-    /// first, and get it when somebody needs them.
+    /// Puts a scene in the place of the one before: on the devices of `made` at once. Others make room first, and get it
+    /// when somebody needs them.
     async fn replace(self: &Arc<Self>, shown: ShownScene, made: Vec<(usize, Renderer)>) {
         let mut answers = Vec::new();
         let has_new: Vec<usize> = made.iter().map(|(device, _)| *device).collect();

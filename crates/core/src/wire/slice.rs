@@ -9,8 +9,8 @@
 //! | 12 | f32 | value of code 0 |
 //! | 16 | f32 | difference of two neighbouring codes |
 //! | 20 | u8 | bytes of a code, 1 or 2 |
-//! | 21 | u8 | 1 if a finer slice follows, else 0 |
-//! | 22 | | a Zstandard frame of the codes, to the end of the stream |
+//! | 21 | u8 | whether a finer slice follows |
+//! | 22 | | the codes in a Zstandard frame |
 //!
 //! Numbers are little-endian. Each code stands as its difference from the one before it in its row, modulo 2⁸ or 2¹⁶.
 //! The first code of a row follows 0. Of 16-bit codes, all low bytes come first, and then all high bytes.
@@ -70,7 +70,7 @@ pub enum SliceError {
     },
 }
 
-/// The whole stream of a slice. After a draft, a finer slice follows.
+/// The stream of a slice. A finer slice follows a draft.
 ///
 /// # Errors
 /// If it cannot be packed.
