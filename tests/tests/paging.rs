@@ -108,7 +108,7 @@ fn paged(whole: &Volume, script: Script, max_bytes: u64) -> Volume {
     };
     let base = levels.last().unwrap().clone();
     let source = Arc::new(Scripted { pyramid, levels, script, num_reads: Mutex::default() });
-    base.with_paging(Paging { source, ranges: None, max_bytes })
+    base.with_paging(Paging { source, ranges: None, max_bytes, own: None })
 }
 
 /// A server, and a viewer without a window.

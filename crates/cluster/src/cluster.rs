@@ -16,11 +16,14 @@ use isinglass_core::volume::{Split, VoxelBox};
 use rayon::prelude::*;
 
 use crate::exchange::{ClusterError, Exchange};
+use crate::pages::PageReader;
 
 /// The processes that hold the parts of a volume, as one of them sees it.
 pub struct Cluster<'a> {
     exchange: &'a dyn Exchange,
     split: Split,
+    /// Reads the pages of the own part, if the volume is read by pages.
+    pub(crate) reader: Option<&'a dyn PageReader>,
 }
 
 /// Where the time of a frame went in this process.
@@ -45,7 +48,12 @@ pub struct Report {
 impl<'a> Cluster<'a> {
     /// The processes of an exchange, one for each box of `split`.
     pub fn new(exchange: &'a dyn Exchange, split: Split) -> Self {
-        Self { exchange, split }
+        Self { exchange, split, reader: None }
+    }
+
+    /// The same for a volume that is read by pages.
+    pub fn reading(self, reader: Option<&'a dyn PageReader>) -> Self {
+        Self { reader, ..self }
     }
 
     pub(crate) fn exchange(&self) -> &dyn Exchange {
@@ -67,6 +75,10 @@ impl<'a> Cluster<'a> {
     /// # Errors
     /// If the processes cannot talk.
     pub fn ready(&self, scene: Scene) -> Result<Scene, ClusterError> {
+        if scene.whole().paging().is_some() {
+            // Everybody has all of the coarsest level, on which this rests.
+            return Ok(scene);
+        }
         let areas = scene.areas_of_bodies(self.own());
         let [above, all] = areas.unwrap_or_default().map(f64::to_bits);
         let words = self.exchange.all_gather(&[above as u32, (above >> 32) as u32])?;

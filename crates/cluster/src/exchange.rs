@@ -134,6 +134,15 @@ pub fn agree<T>(exchange: &dyn Exchange, result: Result<T, String>) -> Result<T,
     }
 }
 
+/// Whether all processes found the same.
+///
+/// # Errors
+/// If the processes cannot talk.
+pub fn are_alike(exchange: &dyn Exchange, found: &str) -> Result<bool, ClusterError> {
+    let words: Vec<u32> = found.bytes().map(u32::from).collect();
+    Ok(exchange.all_gather(&words)?.iter().all(|other| *other == words))
+}
+
 /// Checks that all processes found the same, such as the header of a file.
 ///
 /// # Errors

@@ -6,10 +6,12 @@ use glam::{Quat, Vec3};
 use isinglass_core::camera::{Basis, Camera, Intrinsics, Pose, Projection};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::look::Look;
+use isinglass_core::volume::PlanKey;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::exchange::ClusterError;
+use crate::pages::PagesOrder;
 
 /// Something that all processes make together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,6 +20,8 @@ pub(crate) enum Job {
     Frame { scene: SceneOrder, camera: JobCamera, k: u8, threshold: Option<f32> },
     /// Rows of a picture.
     Rows { scene: SceneOrder, view: JobView, rows: Range<u32> },
+    /// How far the pages of some viewers are.
+    Progress { viewers: Vec<PlanKey> },
     /// Nothing more.
     End,
 }
@@ -28,6 +32,8 @@ pub(crate) struct SceneOrder {
     pub(crate) place: usize,
     /// The look of a scene that is not there yet, and whether its shade is a draft.
     pub(crate) new: Option<(Look, bool)>,
+    /// The pages that it is shown by.
+    pub(crate) pages: Option<PagesOrder>,
 }
 
 /// A camera, to the bit.
@@ -142,7 +148,7 @@ mod tests {
             assert_eq!(JobCamera::from(&camera).camera(), camera);
             let view = View::from(&camera);
             assert_eq!(JobView::from(&view).view(), view);
-            let scene = SceneOrder { place: 1, new: Some((look(), true)) };
+            let scene = SceneOrder { place: 1, new: Some((look(), true)), pages: None };
             let camera = JobCamera::from(&camera);
             let job = Job::Frame { scene, camera, k: 8, threshold: Some(0.25) };
             let words = words_from(&job).unwrap();

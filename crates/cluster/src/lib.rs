@@ -2,7 +2,7 @@
 //!
 //! A process holds the voxels of its own box and a few around it. What must be the same everywhere is found together:
 //! the range of values, the histogram, and on which side of surfaces bodies lie. Kernels that know no network do the
-//! rest ([`isinglass_core::kernels::layering::parts`]). An [`Exchange`] carries their words: MPI, or channels between
+//! rest ([`isinglass_core::kernels::layering::parts`]). A volume that no memory holds is read by pages ([`PageReader`]). An [`Exchange`] carries their words: MPI, or channels between
 //! threads.
 
 mod cluster;
@@ -12,12 +12,14 @@ mod jobs;
 #[cfg(feature = "mpi")]
 mod mpi_world;
 mod orders;
+mod pages;
 mod whole;
 
 pub use cluster::{Cluster, Report};
-pub use exchange::{ClusterError, Exchange, ExchangeError, agree, same_everywhere};
+pub use exchange::{ClusterError, Exchange, ExchangeError, agree, are_alike, same_everywhere};
 pub use in_process::InProcess;
 pub use orders::{OrderQueue, Orders, orders};
+pub use pages::PageReader;
 pub use whole::{FinestNumbers, in_whole};
 
 /// Joins the processes that `mpirun` started.

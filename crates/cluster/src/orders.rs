@@ -19,6 +19,7 @@ use isinglass_core::volume::Detail;
 use crate::cluster::Cluster;
 use crate::exchange::ClusterError;
 use crate::jobs::{Job, JobCamera, JobView, SceneOrder, from_words, words_from};
+use crate::pages::{PageReader, PagesOrder};
 
 /// Orders frames and pictures. Clones order from the same processes, which end with the last of them.
 #[derive(Clone)]
@@ -96,16 +97,25 @@ struct KeptScene {
     shown: u64,
 }
 
+/// Where a process takes a scene from.
+enum Origin<'a> {
+    /// The ordered scene itself.
+    Ordered(Scene),
+    /// The own part under any look.
+    Base(&'a Scene),
+}
+
 impl KeptScenes {
     /// The place of a scene under this look, or the one to put it in and what it is.
-    fn order(&self, look: Look, detail: Detail) -> SceneOrder {
+    fn order(&self, scene: &Scene, pages: Option<PagesOrder>) -> SceneOrder {
+        let (look, detail) = (scene.look(1), scene.settings.detail);
         let is_it = |kept: &KeptScene| kept.detail == detail && kept.look.marches_like(&look);
         if let Some(place) = self.scenes.iter().position(is_it) {
-            return SceneOrder { place, new: None };
+            return SceneOrder { place, new: None, pages };
         }
         let oldest = self.scenes.iter().enumerate().min_by_key(|(_, kept)| kept.shown).map(|(i, _)| i);
         let place = if self.scenes.len() < MOST_SCENES { self.scenes.len() } else { oldest.unwrap_or(0) };
-        SceneOrder { place, new: Some((look, detail == Detail::Draft)) }
+        SceneOrder { place, new: Some((look, detail == Detail::Draft)), pages }
     }
 
     /// The place of the scene that was shown last.
@@ -113,27 +123,41 @@ impl KeptScenes {
         self.scenes.iter().enumerate().max_by_key(|(_, kept)| kept.shown).map(|(place, _)| place)
     }
 
-    /// The ordered scene. A new one is made by `make`, from the last one that was shown, and is ready then.
+    /// The ordered scene. A new one is made from the last one that was shown, and is ready then.
     fn take(
         &mut self,
         cluster: &Cluster<'_>,
         order: SceneOrder,
-        make: impl FnOnce(Option<&Scene>, &Look, Detail) -> Scene,
+        origin: Origin<'_>,
     ) -> Result<&Scene, ClusterError> {
         self.num_shown += 1;
         if let Some((look, is_draft)) = order.new {
             let detail = if is_draft { Detail::Draft } else { Detail::Final };
             let last = self.newest().map(|place| &self.scenes[place].scene);
-            let scene = cluster.ready(make(last, &look, detail))?;
+            let scene = match &origin {
+                Origin::Ordered(scene) => scene.clone(),
+                Origin::Base(base) => last.unwrap_or(base).under(&look, detail, None),
+            };
+            let scene = cluster.ready(scene)?;
             let kept = KeptScene { look, detail, scene, shown: 0 };
             match self.scenes.get_mut(order.place) {
                 Some(place) => *place = kept,
                 None => self.scenes.push(kept),
             }
         }
+        if cluster.reader.is_some() {
+            // Pages that nobody shows must not stay in memory.
+            let others = self.scenes.iter_mut().enumerate().filter(|(place, _)| *place != order.place);
+            others.for_each(|(_, kept)| kept.scene = kept.scene.without_pages());
+        }
         let kept = self.scenes.get_mut(order.place);
         let kept = kept.ok_or_else(|| ClusterError::Job(format!("scene {}", order.place)))?;
         kept.shown = self.num_shown;
+        match origin {
+            _ if cluster.reader.is_none() => {}
+            Origin::Ordered(scene) => kept.scene = scene,
+            Origin::Base(_) => kept.scene = cluster.by_own_pages(&kept.scene, order.pages.as_ref()),
+        }
         Ok(&kept.scene)
     }
 }
@@ -146,11 +170,29 @@ impl Cluster<'_> {
     /// If the processes cannot talk, or one sends something else than expected.
     pub fn work_on(&self, orders: OrderQueue) -> Result<(), ClusterError> {
         let (mut kept, mut budget) = (KeptScenes::default(), Budget::default());
-        for order in orders.0 {
+        // Whether pages of others are still to come.
+        let mut is_loading = false;
+        loop {
+            let order = if is_loading {
+                orders.0.recv_timeout(ASK_AGAIN)
+            } else {
+                orders.0.recv().map_err(|_| RecvTimeoutError::Disconnected)
+            };
+            let order = match order {
+                Ok(order) => order,
+                Err(RecvTimeoutError::Disconnected) => break,
+                Err(RecvTimeoutError::Timeout) => {
+                    let viewers = self.reader.map(PageReader::viewers).unwrap_or_default();
+                    self.tell(&Job::Progress { viewers: viewers.clone() })?;
+                    is_loading = self.tell_progress(&viewers)?;
+                    continue;
+                }
+            };
             match order {
                 Order::Frame { scene, header, is_over, reply } => {
                     let wanted = || !is_over.load(Ordering::Relaxed);
                     let made = if wanted() {
+                        is_loading |= scene.pages.is_some();
                         self.frame(&mut kept, &mut budget, scene, header, &wanted)?
                     } else {
                         None
@@ -159,10 +201,10 @@ impl Cluster<'_> {
                     let _ = reply.send(made);
                 }
                 Order::Rows { scene, view, rows, reply } => {
-                    let order = kept.order(scene.look(1), scene.settings.detail);
+                    let order = kept.order(&scene, self.pages_order(&scene));
                     let of = (order.clone(), JobView::from(&view), rows.clone());
                     self.tell(&Job::Rows { scene: of.0, view: of.1, rows: of.2 })?;
-                    let scene = kept.take(self, order, |_, _, _| scene)?;
+                    let scene = kept.take(self, order, Origin::Ordered(scene))?;
                     let _ = reply.send(self.picture(scene, &view, rows)?);
                 }
                 Order::End => break,
@@ -180,7 +222,8 @@ impl Cluster<'_> {
         wanted: Wanted<'_>,
     ) -> Result<Option<LayeredFrame>, ClusterError> {
         let header = FrameHeader { mode: scene.settings.mode, ..header };
-        let order = kept.order(scene.look(1), scene.settings.detail);
+        let order = kept.order(&scene, self.pages_order(&scene));
+        let viewer = order.pages.as_ref().map(PagesOrder::key);
         if order.new.is_some() || kept.newest() != Some(order.place) {
             // What another scene has spent says nothing about this one.
             budget.forget();
@@ -188,7 +231,8 @@ impl Cluster<'_> {
         let threshold = budget.threshold(&header, scene.volume.bounds().radius());
         let (camera, k) = (JobCamera::from(&header.camera), header.k);
         self.tell(&Job::Frame { scene: order.clone(), camera, k, threshold })?;
-        let scene = kept.take(self, order, |_, _, _| scene)?;
+        let scene = kept.take(self, order, Origin::Ordered(scene))?;
+        self.tell_progress(viewer.as_slice())?;
         let (made, report) = self.generate_while(scene, header, threshold, wanted)?;
         if let Some(frame) = &made {
             tracing::debug!(?report, "a frame of all processes");
@@ -208,17 +252,21 @@ impl Cluster<'_> {
     /// If the processes cannot talk, or one sends something else than expected.
     pub fn help(&self, base: &Scene) -> Result<(), ClusterError> {
         let mut kept = KeptScenes::default();
-        let make = |last: Option<&Scene>, look: &Look, detail| last.unwrap_or(base).under(look, detail, None);
         loop {
             match from_words(&self.exchange().broadcast_some_day(Vec::new())?)? {
                 Job::Frame { scene, camera, k, threshold } => {
-                    let scene = kept.take(self, scene, make)?;
+                    let viewer = scene.pages.as_ref().map(PagesOrder::key);
+                    let scene = kept.take(self, scene, Origin::Base(base))?;
+                    self.tell_progress(viewer.as_slice())?;
                     let header = FrameHeader::alone(camera.camera(), k);
                     self.generate_while(scene, header, threshold, ALWAYS)?;
                 }
                 Job::Rows { scene, view, rows } => {
-                    let scene = kept.take(self, scene, make)?;
+                    let scene = kept.take(self, scene, Origin::Base(base))?;
                     self.picture(scene, &view.view(), rows)?;
+                }
+                Job::Progress { viewers } => {
+                    self.tell_progress(&viewers)?;
                 }
                 Job::End => return Ok(()),
             }
@@ -230,5 +278,7 @@ impl Cluster<'_> {
 const MOST_SCENES: usize = 3;
 /// Whether a frame is still wanted is looked at so often.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
+/// Process 0 asks so often how far the pages of others are, while any are to come.
+const ASK_AGAIN: Duration = Duration::from_millis(100);
 /// Most orders that wait; who orders more waits too.
 const MOST_WAITING: usize = 16;

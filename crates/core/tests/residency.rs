@@ -112,7 +112,7 @@ fn settled(view: &PageView, max_pages: usize, seed: u64) -> (Vec<u8>, isinglass_
     }
     let plan = PagePlan::of(&pyramid, view, residency.share(1), |_| true);
     settle(&mut residency, plan, &mut dice, 0, max_pages);
-    (levels(&residency.set(1)), residency.progress(1))
+    (levels(&residency.set(1)), residency.progress(1).progress)
 }
 
 #[test]
@@ -181,7 +181,7 @@ fn pages_that_fail_leave_coarser_ones() {
     // Each third reading fails, so nearly all pages come after some tries.
     let plan = PagePlan::of(&pyramid, &view, residency.share(1), |_| true);
     settle(&mut residency, plan, &mut Dice(5), 3, 1000);
-    let progress = residency.progress(1);
+    let progress = residency.progress(1).progress;
     assert!(!progress.is_loading() && progress.num_resident > 70, "{progress:?}");
     // A page that makes no sense is given up at once.
     let mut residency = Residency::new(pyramid.clone(), base(&pyramid), 1000);
@@ -194,7 +194,7 @@ fn pages_that_fail_leave_coarser_ones() {
             residency.insert(page(&pyramid, id));
         }
     }
-    let progress = residency.progress(1);
+    let progress = residency.progress(1).progress;
     assert!((progress.num_damaged, progress.num_resident) == (1, 79) && !progress.is_exact(), "{progress:?}");
     let set = residency.set(1);
     assert_eq!(set.pages()[set.slot([3, 2, 1])].id.level, 1);
@@ -216,12 +216,12 @@ fn viewers_share_the_memory() {
         residency.insert(page(&pyramid, id));
     }
     assert!(residency.num_pages() <= 300);
-    assert!(!residency.progress(1).is_loading() && !residency.progress(2).is_loading());
+    assert!(!residency.progress(1).progress.is_loading() && !residency.progress(2).progress.is_loading());
     // Alone, the second gets all.
     residency.forget(1);
     residency.set_plan(2, PagePlan::of(&pyramid, &far, residency.share(2), |_| true));
     while let Some(id) = residency.take_next() {
         residency.insert(page(&pyramid, id));
     }
-    assert!(residency.progress(2).is_exact());
+    assert!(residency.progress(2).progress.is_exact());
 }

@@ -10,7 +10,8 @@ use anyhow::{Result, anyhow};
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_cluster::{
-    Cluster, ClusterError, Exchange, FinestNumbers, Orders, Report, agree, in_whole, orders, same_everywhere,
+    Cluster, ClusterError, Exchange, FinestNumbers, Orders, PageReader, Report, agree, are_alike, in_whole,
+    orders, same_everywhere,
 };
 use isinglass_core::camera::Camera;
 use isinglass_core::cancel::Wanted;
@@ -19,16 +20,20 @@ use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::{GHOSTS, Histogram, Lighting, Split, Volume, VoxelBox};
+use isinglass_core::session::admission::ViewerId;
+use isinglass_core::volume::{
+    GHOSTS, Histogram, Lighting, PageSet, PageView, Paging, PartProgress, PlanKey, Split, Volume, VoxelBox,
+};
 use isinglass_formats::{
-    OpenOptions, OpenedScene, Outline, Region, Selection, finest_numbers, open, outline, scene_of,
+    OpenOptions, OpenedScene, Outline, Region, Selection, finest_numbers, open, open_paged, outline, scene_of,
 };
 use isinglass_render::{Backend, Renderer, Workers};
+use isinglass_server::Pager;
 use serde_json::{Value, json};
 
 use crate::args::{BackendArgs, ListArgs, LookArgs, VolumeArgs};
 use crate::memory::MemoryArgs;
-use crate::paged::Pages;
+use crate::paged::{Pages, check};
 use crate::report::{AlreadyTold, in_one_line};
 use crate::state_args::Seen;
 
@@ -128,11 +133,14 @@ impl Together {
         volume: (&VolumeArgs, &MemoryArgs),
         look: &LookArgs,
         (lighting, lists): (Lighting, &ListArgs),
-        serve: impl FnOnce(Arc<Volume>, Look, Backend) -> Result<()> + Send,
+        serve: impl FnOnce(Arc<Volume>, Look, Backend, Option<Pager>) -> Result<()> + Send,
     ) -> Result<()> {
         let (Opened { scene, split, .. }, look) = self.open(seen, volume, look, lighting, lists)?;
         let split = split.ok_or_else(|| anyhow!("the volume has no parts"))?;
-        let cluster = Cluster::new(&*self.exchange, split);
+        let pager = agree(&*self.exchange, Pager::of(scene.whole()).map_err(|e| e.to_string()))?;
+        let reader = pager.clone().map(OwnPages);
+        let reader = reader.as_ref().map(|reader| reader as &dyn PageReader);
+        let cluster = Cluster::new(&*self.exchange, split).reading(reader);
         if !self.is_root() {
             return Ok(cluster.help(&scene)?);
         }
@@ -143,7 +151,7 @@ impl Together {
         std::thread::scope(|scope| {
             let serving = scope.spawn(move || {
                 let _end = EndOnDrop(orders);
-                serve(volume, look, Backend::Workers(Arc::new(workers)))
+                serve(volume, look, Backend::Workers(Arc::new(workers)), pager)
             });
             if let Err(lost) = cluster.work_on(queue) {
                 self.give_up(&lost);
@@ -152,13 +160,13 @@ impl Together {
         })
     }
 
-    /// Reads the own part of a volume, which must fit into memory: pages are for one process alone.
+    /// Reads the own part of a volume. If all processes together have no room for it, parts are read by pages.
     fn read(&self, volume: &VolumeArgs, memory: &MemoryArgs) -> Result<(Volume, Split), ClusterError> {
         let exchange = &*self.exchange;
         let (rank, size) = (exchange.rank(), exchange.size());
         let result = |result: Result<_>| agree(exchange, result.map_err(|e| in_one_line(&e)));
         let reading = volume.part.reading();
-        let options = OpenOptions { max_bytes: memory.bytes(), ..volume.options(&reading) };
+        let options = OpenOptions { max_bytes: memory.bytes(), by_pages: true, ..volume.options(&reading) };
         // All processes together have room for the whole.
         let max_bytes = options.max_bytes.saturating_mul(size as u64);
         let source = result(volume.source().map(str::to_owned))?;
@@ -166,9 +174,14 @@ impl Together {
         let before = agree(exchange, before)?;
         let Outline { dims, spacing, shown, .. } = &before;
         same_everywhere(exchange, "header of the file", &format!("{dims:?} voxels, {spacing:?} apart"))?;
+        let &Selection { time, level, series, .. } = shown;
+        if before.pages.is_some() {
+            let selection = Selection { time, level: None, series, ..options.selection };
+            return self.read_by_pages(&source, &OpenOptions { selection, ..options }, *dims);
+        }
+        let options = OpenOptions { by_pages: false, ..options };
         let split = agree(exchange, Split::evenly(*dims, size).map_err(|e| e.to_string()))?;
         let held = split.held(rank, GHOSTS);
-        let &Selection { time, level, series, .. } = shown;
         let chosen = options.selection;
         let region = Some(region_of(chosen.region, &held));
         let whole = Selection { time, level, series, ..chosen };
@@ -190,6 +203,35 @@ impl Together {
         Ok((part, split))
     }
 
+    /// Reads the coarsest level. The pages of the own part follow it.
+    fn read_by_pages(
+        &self,
+        source: &str,
+        options: &OpenOptions<'_>,
+        dims: [u32; 3],
+    ) -> Result<(Volume, Split), ClusterError> {
+        let exchange = &*self.exchange;
+        let split = Split::between_pages(dims, exchange.size()).map_err(|e| e.to_string());
+        let split = agree(exchange, split)?;
+        let read = |options: &OpenOptions<'_>| {
+            let file = open_paged(source, options).map_err(|e| e.to_string());
+            agree(exchange, file.map(|file| file.into_volume(options.max_bytes)))
+        };
+        let mut volume = read(options)?;
+        let numbers = |channel: &Volume| {
+            let known = channel.finest().and_then(|finest| finest.histogram.clone());
+            format!("{:?} {known:?}", channel.stored_range())
+        };
+        let numbers: Vec<String> = volume.channels().map(numbers).collect();
+        if !are_alike(exchange, &numbers.join("; "))? {
+            // Only some have an index of the file.
+            volume = read(&OpenOptions { index_folder: None, ..*options })?;
+        }
+        let own = Some(split.boxes()[exchange.rank()]);
+        let paging = volume.paging().map(|paging| Paging { own, ..paging.clone() });
+        Ok((paging.into_iter().fold(volume, Volume::with_paging), split))
+    }
+
     /// The reports of all processes, in process 0.
     fn reports(&self, own: &Report) -> Result<Vec<Value>> {
         let ms = |time: std::time::Duration| (time.as_secs_f64() * 1e3) as f32;
@@ -209,6 +251,31 @@ impl Together {
                 })
             })
             .collect())
+    }
+}
+
+/// The pages of the own part.
+struct OwnPages(Pager);
+
+impl PageReader for OwnPages {
+    fn pages(&self, key: PlanKey, view: &PageView, scene: &Scene) -> Arc<PageSet> {
+        self.0.pages(ViewerId(key), view, scene).set
+    }
+
+    fn progress(&self, key: PlanKey) -> PartProgress {
+        self.0.own_progress(key)
+    }
+
+    fn viewers(&self) -> Vec<PlanKey> {
+        self.0.viewers()
+    }
+
+    fn keep(&self, viewers: &[PlanKey]) {
+        self.0.forget_others(viewers);
+    }
+
+    fn note_others(&self, key: PlanKey, others: PartProgress) {
+        self.0.note_others(key, others);
     }
 }
 
@@ -273,7 +340,7 @@ pub(crate) fn open_for(
 /// Makes frames and pictures, alone or with the other processes.
 pub(crate) enum Drawer<'a> {
     Alone(Box<Renderer>, Backend, Pages),
-    Together(&'a Together, Box<Scene>, Cluster<'a>),
+    Together(&'a Together, Box<Scene>, Cluster<'a>, Pages),
 }
 
 impl<'a> Drawer<'a> {
@@ -283,7 +350,8 @@ impl<'a> Drawer<'a> {
             (Some(together), Some(split)) => {
                 let cluster = Cluster::new(&*together.exchange, split);
                 let scene = cluster.ready(opened.scene)?;
-                Self::Together(together, Box::new(scene), cluster)
+                let pages = Pages::of(&scene)?;
+                Self::Together(together, Box::new(scene), cluster, pages)
             }
             _ => {
                 let pages = Pages::of(&opened.scene)?;
@@ -312,17 +380,22 @@ impl<'a> Drawer<'a> {
 
     /// Reads what a camera sees of a volume that is read by pages.
     pub(crate) fn show(&mut self, camera: &Camera) -> Result<()> {
-        if let Self::Alone(renderer, _, pages) = self {
-            pages.show(renderer, camera)?;
+        match self {
+            Self::Alone(renderer, _, pages) => pages.show(renderer, camera),
+            Self::Together(together, scene, cluster, pages) => {
+                let Some(own) = pages.settled(&scene.without_pages(), camera) else { return Ok(()) };
+                **scene = scene.with_pages(own.set, None);
+                let progress = cluster.progress_of_all(own.part)?;
+                check(&progress, together.is_root())
+            }
         }
-        Ok(())
     }
 
     /// A layered frame, and how each process made its part; nothing but in process 0.
     pub(crate) fn generate(&mut self, header: FrameHeader) -> Result<Option<(LayeredFrame, Vec<Value>)>> {
         match self {
             Self::Alone(renderer, ..) => Ok(Some((renderer.generate(header)?, Vec::new()))),
-            Self::Together(together, scene, cluster) => {
+            Self::Together(together, scene, cluster, _) => {
                 let (frame, report) = cluster.generate(scene, header)?;
                 let reports = together.reports(&report)?;
                 Ok(frame.map(|frame| (frame, reports)))
@@ -334,7 +407,7 @@ impl<'a> Drawer<'a> {
     pub(crate) fn render_mean(&mut self, views: &[View]) -> Result<Picture> {
         match self {
             Self::Alone(renderer, ..) => Ok(renderer.render_mean(views)?),
-            Self::Together(_, scene, cluster) => {
+            Self::Together(_, scene, cluster, _) => {
                 let nothing = |view: &View| Picture::new(view.basis.width as u32, view.basis.height as u32);
                 let pictures = views.iter().map(|view| {
                     let made = cluster.picture(scene, view, 0..view.basis.height as u32);

@@ -148,18 +148,22 @@ enum Command {
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
 pub fn start(options: ServeOptions) -> Result<RunningServer, ServeError> {
-    start_as(&Identity::generate()?, options)
+    let pager = Pager::of(&options.volume)?;
+    start_as(&Identity::generate()?, options, pager)
 }
 
-/// The same with an identity that outlives the server.
+/// The same with an identity that outlives the server, and with what reads the pages of the volume, if it has any.
 ///
 /// # Errors
 /// If the address is taken or the volume does not fit the backend.
-pub fn start_as(identity: &Identity, options: ServeOptions) -> Result<RunningServer, ServeError> {
+pub fn start_as(
+    identity: &Identity,
+    options: ServeOptions,
+    pager: Option<Pager>,
+) -> Result<RunningServer, ServeError> {
     let ServeOptions { volume, look, devices, listen, plan, max_viewers, frame_memory, library, timing } =
         options;
     let Timing { clock, after_work } = timing;
-    let pager = Pager::of(&volume)?;
     let scene = Scene::of_look(volume, &look);
     let memory = FrameMemory::new(frame_memory);
     let ahead = ReadAhead::new(library.as_ref().map_or(0, |l| l.volume_memory), &memory);

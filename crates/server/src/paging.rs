@@ -7,8 +7,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use isinglass_core::kernels::march::{Scene, SeenPages};
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{
-    Page, PageError, PageId, PagePlan, PageProgress, PageRanges, PageSet, PageSource, PageValues, PageView,
-    Paging, PlanKey, Pyramid, Residency, Volume, VolumeError,
+    Page, PageError, PageId, PagePlan, PageRanges, PageSet, PageSource, PageValues, PageView, Paging,
+    PartProgress, PlanKey, Pyramid, Residency, Volume, VolumeError, VoxelBox,
 };
 use tokio::sync::watch;
 
@@ -17,12 +17,10 @@ use tokio::sync::watch;
 pub struct FramePages {
     /// The pages.
     pub set: Arc<PageSet>,
-    /// How far they are.
-    pub progress: PageProgress,
+    /// How far they are; a version changes with the pages in memory.
+    pub part: PartProgress,
     /// Whether they are those of a resting camera.
     pub rests: bool,
-    /// Changes with the pages in memory.
-    pub version: u64,
     /// Whether another part of the file is read, for which the pages made room.
     pub is_paused: bool,
 }
@@ -30,7 +28,7 @@ pub struct FramePages {
 impl FramePages {
     /// Whether a resting camera will get better ones.
     pub fn is_draft(&self) -> bool {
-        !self.rests || self.is_paused || self.progress.is_loading()
+        !self.rests || self.is_paused || self.part.progress.is_loading()
     }
 }
 
@@ -45,6 +43,7 @@ pub struct Pager {
 struct PagerThreads {
     source: Arc<dyn PageSource>,
     ranges: Option<Arc<dyn PageRanges>>,
+    own: Option<VoxelBox>,
     num_channels: usize,
     max_bytes: u64,
     max_pages: usize,
@@ -60,8 +59,25 @@ struct State {
     /// What the newest looks leave visible, by known values.
     seen: Vec<(Scene, Arc<SeenPages>)>,
     sets: HashMap<PlanKey, (u64, Arc<PageSet>)>,
+    /// How far the parts of other processes are.
+    others: HashMap<PlanKey, PartProgress>,
+    /// Changes with the pages of other processes.
+    version_of_others: u64,
     is_paused: bool,
     is_over: bool,
+}
+
+impl State {
+    /// Changes with the pages of all processes.
+    fn version(&self) -> u64 {
+        self.residency.version().wrapping_add(self.version_of_others)
+    }
+
+    /// How far a viewer's pages are, those of other processes included.
+    fn part(&self, key: PlanKey) -> PartProgress {
+        let own = self.residency.progress(key);
+        self.others.get(&key).map_or(own, |others| own.and(*others))
+    }
 }
 
 struct Ending(Arc<PagerThreads>);
@@ -91,7 +107,7 @@ impl Pager {
     }
 
     fn start(paging: Paging, base: &Volume) -> Result<Self, VolumeError> {
-        let Paging { source, ranges, max_bytes } = paging;
+        let Paging { source, ranges, max_bytes, own } = paging;
         return_large_blocks();
         let pyramid = Arc::new(source.pyramid().clone());
         let pages = pyramid.base_pages(base)?;
@@ -100,14 +116,17 @@ impl Pager {
         // The pages of the coarsest level count, too.
         let max_pages = ((max_bytes / page_bytes) as usize).saturating_sub(pages.len());
         let residency = Residency::new(pyramid, pages, max_pages);
-        let (views, seen, sets) = (HashMap::new(), Vec::new(), HashMap::new());
+        let (views, seen, sets, others) = Default::default();
+        let (version_of_others, is_paused, is_over) = (0, false, false);
+        let state = State { residency, views, seen, sets, others, version_of_others, is_paused, is_over };
         let shared = Arc::new(PagerThreads {
             source,
             ranges,
+            own,
             num_channels,
             max_bytes,
             max_pages,
-            state: Mutex::new(State { residency, views, seen, sets, is_paused: false, is_over: false }),
+            state: Mutex::new(state),
             work: Condvar::new(),
             changed: watch::channel(0).0,
         });
@@ -136,7 +155,7 @@ impl Pager {
 
     /// The pages for a viewer's next frame of `scene`. What is missing is read from now on.
     pub fn pages(&self, viewer: ViewerId, view: &PageView, scene: &Scene) -> FramePages {
-        let key = PlanKey::from(viewer.0);
+        let key = viewer.0;
         let mut state = self.shared.state();
         let room = state.residency.share(key);
         let seen = self.shared.seen(&mut state, scene);
@@ -144,8 +163,12 @@ impl Pager {
             (known, *of) == (view, room) && same(by.as_ref(), seen.as_ref())
         };
         if !state.views.get(&key).is_some_and(is_same) {
-            let is_visible = |id: PageId| seen.as_ref().is_none_or(|seen| seen.sees(id));
-            let plan = PagePlan::of(state.residency.pyramid(), view, room, is_visible);
+            let pyramid = state.residency.pyramid();
+            let is_visible = |id: PageId| {
+                self.shared.own.as_ref().is_none_or(|own| pyramid.meets(id, own))
+                    && seen.as_ref().is_none_or(|seen| seen.sees(id))
+            };
+            let plan = PagePlan::of(pyramid, view, room, is_visible);
             state.residency.set_plan(key, plan);
             state.views.insert(key, (view.clone(), room, seen));
             state.sets.remove(&key);
@@ -155,38 +178,70 @@ impl Pager {
         let set = match state.sets.get(&key) {
             Some((known, set)) if *known == version => set.clone(),
             _ => {
-                let set = Arc::new(state.residency.set(key));
+                let set = Arc::new(state.residency.set(key).for_viewer(key, view.clone()));
                 state.sets.insert(key, (version, set.clone()));
                 set
             }
         };
-        let (progress, is_paused) = (state.residency.progress(key), state.is_paused);
-        FramePages { set, progress, rests: view.rests, version, is_paused }
+        let (part, is_paused) = (state.residency.progress(key), state.is_paused);
+        FramePages { set, part, rests: view.rests, is_paused }
+    }
+
+    /// The pages of a frame that several processes have made, with those of the others.
+    pub(crate) fn with_others(&self, viewer: ViewerId, pages: FramePages) -> FramePages {
+        let others = self.shared.state().others.get(&viewer.0).copied();
+        FramePages { part: others.map_or(pages.part, |others| pages.part.and(others)), ..pages }
+    }
+
+    /// The parts of other processes have come so far, for a viewer's newest frame.
+    pub fn note_others(&self, key: PlanKey, others: PartProgress) {
+        let version = {
+            let mut state = self.shared.state();
+            state.others.insert(key, others);
+            state.version_of_others = others.version;
+            state.version()
+        };
+        self.shared.changed.send_if_modified(|known| std::mem::replace(known, version) != version);
+    }
+
+    /// How far the own pages for a viewer are.
+    pub fn own_progress(&self, key: PlanKey) -> PartProgress {
+        self.shared.state().residency.progress(key)
+    }
+
+    /// Whom pages are read for.
+    pub fn viewers(&self) -> Vec<PlanKey> {
+        self.shared.state().views.keys().copied().collect()
+    }
+
+    /// All other viewers have left.
+    pub fn forget_others(&self, viewers: &[PlanKey]) {
+        let gone = self.viewers().into_iter().filter(|key| !viewers.contains(key));
+        gone.for_each(|key| self.forget(key));
     }
 
     /// The pages of a viewer's newest view, as they are now.
     pub fn shown(&self, viewer: ViewerId) -> Option<FramePages> {
-        let key = PlanKey::from(viewer.0);
+        let key = viewer.0;
         let state = self.shared.state();
         let view = &state.views.get(&key)?.0;
-        let (version, set) = state.sets.get(&key)?;
-        let progress = state.residency.progress(key);
-        let is_paused = state.is_paused;
-        Some(FramePages { set: set.clone(), progress, rests: view.rests, version: *version, is_paused })
+        let (_, set) = state.sets.get(&key)?;
+        let (part, is_paused) = (state.part(key), state.is_paused);
+        Some(FramePages { set: set.clone(), part, rests: view.rests, is_paused })
     }
 
     /// Whether pages of a viewer's view are still to come.
     pub fn is_loading(&self, viewer: ViewerId) -> bool {
-        self.shared.state().residency.progress(PlanKey::from(viewer.0)).is_loading()
+        self.shared.state().part(viewer.0).progress.is_loading()
     }
 
     /// A viewer has left.
-    pub fn forget(&self, viewer: ViewerId) {
-        let key = PlanKey::from(viewer.0);
+    pub fn forget(&self, key: PlanKey) {
         let mut state = self.shared.state();
         state.residency.forget(key);
         state.views.remove(&key);
         state.sets.remove(&key);
+        state.others.remove(&key);
     }
 
     /// Gives the memory of all pages back: frames show the coarsest level until this ends.
@@ -197,7 +252,7 @@ impl Pager {
             state.residency.set_room(if is_paused { 0 } else { self.shared.max_pages });
             state.views.clear();
             state.sets.clear();
-            state.residency.version()
+            state.version()
         };
         self.shared.changed.send_replace(version);
         self.shared.work.notify_all();
@@ -252,7 +307,7 @@ impl Pager {
     ) -> FramePages {
         loop {
             let pages = self.pages(viewer, view, scene);
-            if !pages.progress.is_loading() || !is_wanted() {
+            if !pages.part.progress.is_loading() || !is_wanted() {
                 return pages;
             }
             std::thread::sleep(POLL);
@@ -301,7 +356,7 @@ impl PagerThreads {
                     }
                 }
             }
-            let version = state.residency.version();
+            let version = state.version();
             self.changed.send_if_modified(|known| std::mem::replace(known, version) != version);
             // Room for another page may be there.
             self.work.notify_one();

@@ -275,7 +275,10 @@ impl RenderThread {
                 held.set(bytes_of(frame.num_segments(), frame.offsets.len() - 1));
                 let (generate_micros, is_draft) = (*spent_micros, begun.is_draft);
                 let occlusion = begun.occlusion.take();
-                let pages = begun.pages.take();
+                let pages = begun.pages.take().map(|pages| match &self.pager {
+                    Some(pager) => pager.with_others(order.viewer, pages),
+                    None => pages,
+                });
                 Ok(Some(Generated { frame, _held: held, generate_micros, is_draft, occlusion, pages }))
             }
         }

@@ -141,7 +141,7 @@ impl Drop for Viewer {
             refining.abort();
         }
         if let Some(pager) = &self.present.pager {
-            pager.forget(self.session.viewer);
+            pager.forget(self.session.viewer.0);
         }
         self.common.generator.dispatch.forget(self.session.viewer);
     }

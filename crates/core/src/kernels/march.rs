@@ -261,11 +261,13 @@ impl<T: Texels> Marcher<'_, T> {
         Thicken::new(sink, lattice, voxel, self.scene.has_lesser_bodies)
     }
 
-    /// The lattice points of a ray in the voxel space of the whole volume, by the march's own arithmetic.
+    /// The lattice points of a ray in the voxel space of the whole volume, by the march's own arithmetic. A step belongs to
+    /// the box of its front point, and to the page of its middle.
     pub(crate) fn point_line(&self, ray: &Ray, lattice: Lattice) -> PointLine {
         let origin = ray.origin * self.voxel_from_world + self.voxel_origin;
         let dir = safe_dir(ray.dir) * self.voxel_from_world;
-        PointLine { origin, dir, s0: lattice.s0, h: lattice.h }
+        let half = if self.scene.pages.is_some() { 0.5 } else { 0.0 };
+        PointLine { origin, dir, s0: lattice.s0, h: lattice.h, place: half, shift: half }
     }
 
     /// The same for a projection, with steps as in [`modes::Values`].

@@ -37,12 +37,12 @@ pub use lighting::{
 pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use opacities::{opacity_table, opacity_volume};
 pub use page_values::{FoundVoxel, PageCursor, PageFinder, PageReader, PageValues, ValuesAt};
-pub use pages::{Page, PageSet, page_of};
+pub use pages::{Page, PageSet, PageView, PlanKey, page_of};
 pub use pyramid::{
     Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageRanges, PageSource, PageVoxels,
     Paging, Pyramid, PyramidLevel, VoxelKind,
 };
-pub use residency::{PagePlan, PageProgress, PageView, PlanKey, Residency};
+pub use residency::{PagePlan, PageProgress, PartProgress, Residency};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};
 pub use split::{GHOSTS, PointLine, Split, SplitError};
 pub use world::{VoxelBox, Whole, sample_places};

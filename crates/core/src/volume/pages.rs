@@ -8,6 +8,8 @@ use glam::Vec3;
 use super::bricks::{BRICK, Bricks};
 use super::grid::{Volume, VolumeError, VolumeInfo, Voxels};
 use super::pyramid::{Finest, PAGE_POINTS, PageId, PageVoxels, Pyramid};
+use crate::camera::Camera;
+use crate::clip::Region;
 
 /// A page in memory, with all channels.
 #[derive(Debug)]
@@ -134,6 +136,20 @@ fn cut<T: Copy>(texels: &[T], dims: [u32; 3], first: [u32; 3], side: usize) -> V
 /// The unit in which systems hand out large blocks of memory, bytes.
 const SYSTEM_PAGE: usize = 4096;
 
+/// A viewer, by any number.
+pub type PlanKey = u32;
+
+/// What a viewer looks at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PageView {
+    /// The camera of its frames.
+    pub camera: Camera,
+    /// The visible part of the volume.
+    pub region: Region,
+    /// Whether the camera rests.
+    pub rests: bool,
+}
+
 /// The pages that stand for the parts of a volume: for each the finest one that is there.
 #[derive(Debug)]
 pub struct PageSet {
@@ -143,6 +159,7 @@ pub struct PageSet {
     /// For each page of the finest level, x fastest, the place in `pages` of the one that stands for it.
     table: Vec<u32>,
     pages: Vec<Arc<Page>>,
+    seen_by: Option<(PlanKey, PageView)>,
 }
 
 impl PageSet {
@@ -164,7 +181,17 @@ impl PageSet {
                 table[row + span(0).start..row + span(0).end].fill(slot as u32);
             }
         }
-        Self { pyramid, grid, table, pages }
+        Self { pyramid, grid, table, pages, seen_by: None }
+    }
+
+    /// The same set, which was chosen for a viewer.
+    pub fn for_viewer(self, key: PlanKey, view: PageView) -> Self {
+        Self { seen_by: Some((key, view)), ..self }
+    }
+
+    /// The viewer that the set was chosen for, and its view then.
+    pub fn seen_by(&self) -> Option<&(PlanKey, PageView)> {
+        self.seen_by.as_ref()
     }
 
     /// The levels.

@@ -10,6 +10,7 @@ use glam::Vec3;
 
 use super::grid::{Volume, VolumeInfo, Voxels};
 use super::histogram::Histogram;
+use super::world::VoxelBox;
 
 /// What a level of a pyramid takes from the finest one, so that every level has one look: box, unit length, domain of
 /// values and steepness.
@@ -117,6 +118,8 @@ pub struct Paging {
     pub ranges: Option<Arc<dyn PageRanges>>,
     /// Most memory of the pages, bytes.
     pub max_bytes: u64,
+    /// The voxels of the finest level whose pages are read; all others stay coarse. `None` for all.
+    pub own: Option<VoxelBox>,
 }
 
 impl std::fmt::Debug for Paging {
@@ -182,6 +185,16 @@ impl Pyramid {
             high => high,
         };
         (Vec3::from_array([0, 1, 2].map(low)), Vec3::from_array([0, 1, 2].map(high)))
+    }
+
+    /// Whether a page has cells of a box of the finest level.
+    pub fn meets(&self, page: PageId, voxels: &VoxelBox) -> bool {
+        let (factor, pages) = (self.level(page).factor, self.pages(usize::from(page.level)));
+        (0..3).all(|i| {
+            let first = page.at[i] * factor[i] * PAGE_CELLS;
+            let is_last = page.at[i] + 1 >= pages[i];
+            first < voxels.end[i] && (is_last || voxels.first[i] < first + factor[i] * PAGE_CELLS)
+        })
     }
 
     /// Whether voxels are as many as those of a page, and of their type.

@@ -10,22 +10,10 @@ use std::sync::Arc;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use super::pages::{Page, PageSet};
+use super::pages::{Page, PageSet, PageView, PlanKey};
 use super::pyramid::{PAGE_CELLS, PageId, Pyramid};
-use crate::camera::Camera;
 use crate::clip::Region;
 use crate::space::Aabb;
-
-/// What a viewer looks at.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PageView {
-    /// The camera of its frames.
-    pub camera: Camera,
-    /// The visible part of the volume.
-    pub region: Region,
-    /// Whether the camera rests.
-    pub rests: bool,
-}
 
 /// The pages for a view.
 #[derive(Clone, Debug, Default)]
@@ -38,6 +26,8 @@ pub struct PagePlan {
     parts: HashMap<PageId, Vec<PageId>>,
     /// Share of the view that the finest level does not fill for lack of memory, 0 to 1.
     coarse_share: f32,
+    /// About the part of the picture that all of the view fills, in no unit.
+    size: f32,
     /// Whether the camera rests.
     rests: bool,
 }
@@ -53,6 +43,32 @@ pub struct PageProgress {
     pub num_damaged: u32,
     /// Share of the view that is coarser than the finest level because there is no memory, 0 to 1.
     pub coarse_share: f32,
+}
+
+/// How far the part of a view is that one of several processes reads.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PartProgress {
+    /// How far it is.
+    pub progress: PageProgress,
+    /// About the part of the picture that it fills, in no unit.
+    pub size: f32,
+    /// Changes whenever a page comes, goes or is given up.
+    pub version: u64,
+}
+
+impl PartProgress {
+    /// Both parts together.
+    pub fn and(self, other: Self) -> Self {
+        let (a, b, size) = (self.progress, other.progress, self.size + other.size);
+        let coarse = a.coarse_share * self.size + b.coarse_share * other.size;
+        let progress = PageProgress {
+            num_wanted: a.num_wanted.saturating_add(b.num_wanted),
+            num_resident: a.num_resident.saturating_add(b.num_resident),
+            num_damaged: a.num_damaged.saturating_add(b.num_damaged),
+            coarse_share: if size > 0.0 { coarse / size } else { 0.0 },
+        };
+        Self { progress, size, version: self.version.wrapping_add(other.version) }
+    }
 }
 
 impl PageProgress {
@@ -150,6 +166,7 @@ impl PagePlan {
             plan.parts.insert(id, finer);
         }
         plan.coarse_share = if all > 0.0 { coarse / all } else { 0.0 };
+        plan.size = all;
         plan
     }
 
@@ -280,9 +297,6 @@ fn places(first: [u32; 3], end: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
         ys.clone().flat_map(move |y| xs.clone().map(move |x| [x, y, z]))
     })
 }
-
-/// A viewer, by any number.
-pub type PlanKey = u64;
 
 /// The pages in memory and the plans of all viewers.
 #[derive(Debug)]
@@ -470,18 +484,19 @@ impl Residency {
     }
 
     /// How far a viewer's plan is.
-    pub fn progress(&self, key: PlanKey) -> PageProgress {
+    pub fn progress(&self, key: PlanKey) -> PartProgress {
         let Some((_, plan)) = self.plans.iter().find(|(known, _)| *known == key) else {
-            return PageProgress::default();
+            return PartProgress { version: self.version, ..PartProgress::default() };
         };
         let count =
             |is_so: &dyn Fn(&PageId) -> bool| plan.leaves.iter().filter(|id| is_so(id)).count() as u32;
-        PageProgress {
+        let progress = PageProgress {
             num_wanted: plan.leaves.len() as u32,
             num_resident: count(&|id| self.resident.contains_key(id)),
             num_damaged: count(&|id| !self.resident.contains_key(id) && self.has_failed(*id)),
             coarse_share: plan.coarse_share,
-        }
+        };
+        PartProgress { progress, size: plan.size, version: self.version }
     }
 
     /// Pages in memory, and those that are being read.

@@ -8,12 +8,15 @@ use std::ops::Range;
 use glam::Vec3;
 
 use super::bricks::BRICK;
+use super::pyramid::PAGE_CELLS;
 use super::world::VoxelBox;
 
-/// Boxes that fill a grid, by planes between voxels at multiples of [`BRICK`].
+/// Boxes that fill a grid, by planes between voxels at multiples of [`BRICK`], or between pages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Split {
     dims: [u32; 3],
+    /// Voxels between possible planes.
+    unit: u32,
     nodes: Vec<Node>,
     boxes: Vec<VoxelBox>,
 }
@@ -29,16 +32,18 @@ enum Node {
 /// A grid has too few voxels for so many boxes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{parts} parts of {dims:?} voxels, expected fewer: each needs {BRICK} voxels along the axis that is cut"
+    "{parts} parts of {dims:?} voxels, expected fewer: each needs {unit} voxels along the axis that is cut"
 )]
 pub struct SplitError {
     /// The wanted number of parts.
     pub parts: usize,
     /// Voxels of the whole.
     pub dims: [u32; 3],
+    /// Voxels between possible planes.
+    pub unit: u32,
 }
 
-/// Lattice points along a ray, in voxel space: point i is at origin + dir·(s0 + i·h).
+/// Places along a ray that say which box has its steps. That of step i is at origin + dir·(s0 + (i + place)·h) − shift.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointLine {
     /// A point in voxel space.
@@ -49,13 +54,17 @@ pub struct PointLine {
     pub s0: f32,
     /// World distance between points.
     pub h: f32,
+    /// What of a step counts, in steps: 0 is its front, and a half its middle.
+    pub place: f32,
+    /// Where planes lie between voxels: 0 if at the edge of a voxel, a half if at its centre.
+    pub shift: f32,
 }
 
 impl PointLine {
-    /// One coordinate of point i, by the arithmetic of a march.
+    /// One coordinate of the place of step i, by the arithmetic of a march.
     #[inline(always)]
     fn at(&self, axis: usize, i: u32) -> f32 {
-        self.origin[axis] + self.dir[axis] * (self.s0 + i as f32 * self.h)
+        self.origin[axis] + self.dir[axis] * (self.s0 + (i as f32 + self.place) * self.h) - self.shift
     }
 }
 
@@ -65,8 +74,20 @@ impl Split {
     /// # Errors
     /// If there are too few voxels.
     pub fn evenly(dims: [u32; 3], parts: usize) -> Result<Self, SplitError> {
-        let mut split = Self { dims, nodes: Vec::new(), boxes: Vec::new() };
-        split.cut_evenly(VoxelBox::of(dims), parts.max(1)).ok_or(SplitError { parts, dims })?;
+        Self::evenly_by(dims, parts, BRICK)
+    }
+
+    /// The same between pages: no page of the finest level lies in two boxes.
+    ///
+    /// # Errors
+    /// If there are too few voxels.
+    pub fn between_pages(dims: [u32; 3], parts: usize) -> Result<Self, SplitError> {
+        Self::evenly_by(dims, parts, PAGE_CELLS)
+    }
+
+    fn evenly_by(dims: [u32; 3], parts: usize, unit: u32) -> Result<Self, SplitError> {
+        let mut split = Self { dims, unit, nodes: Vec::new(), boxes: Vec::new() };
+        split.cut_evenly(VoxelBox::of(dims), parts.max(1)).ok_or(SplitError { parts, dims, unit })?;
         Ok(split)
     }
 
@@ -75,8 +96,9 @@ impl Split {
     /// # Errors
     /// If there are too few voxels.
     pub fn grid(dims: [u32; 3], layers: [u32; 3]) -> Result<Self, SplitError> {
-        let mut split = Self { dims, nodes: Vec::new(), boxes: Vec::new() };
-        let error = SplitError { parts: layers.iter().map(|&n| n as usize).product(), dims };
+        let unit = BRICK;
+        let mut split = Self { dims, unit, nodes: Vec::new(), boxes: Vec::new() };
+        let error = SplitError { parts: layers.iter().map(|&n| n as usize).product(), dims, unit };
         split.cut_layers(VoxelBox::of(dims), layers.map(|n| n.max(1))).ok_or(error)?;
         Ok(split)
     }
@@ -133,7 +155,7 @@ impl Split {
         let axis = (0..3).rev().max_by_key(|&axis| dims[axis])?;
         let low = parts / 2;
         let share = (u64::from(dims[axis]) * low as u64 / parts as u64) as u32;
-        let at = border(voxels.first[axis] + share, &voxels, axis)?;
+        let at = self.border(voxels.first[axis] + share, &voxels, axis)?;
         self.cut(
             voxels,
             axis,
@@ -149,7 +171,7 @@ impl Split {
         first[axis] = 1;
         let mut others = layers;
         others[axis] -= 1;
-        let at = border(voxels.first[axis] + voxels.dims()[axis] / layers[axis], &voxels, axis)?;
+        let at = self.border(voxels.first[axis] + voxels.dims()[axis] / layers[axis], &voxels, axis)?;
         self.cut(
             voxels,
             axis,
@@ -184,13 +206,16 @@ impl Split {
         self.nodes[here] = Node::Cut { axis, at, low, high };
         Some(())
     }
-}
 
-/// The multiple of [`BRICK`] inside a box that is nearest to `wanted`.
-fn border(wanted: u32, voxels: &VoxelBox, axis: usize) -> Option<u32> {
-    let least = (voxels.first[axis] / BRICK + 1) * BRICK;
-    let most = (voxels.end[axis] - 1) / BRICK * BRICK;
-    (least <= most).then(|| ((wanted + BRICK / 2) / BRICK * BRICK).clamp(least, most))
+    /// The possible plane inside a box that is nearest to `wanted`.
+    fn border(&self, wanted: u32, voxels: &VoxelBox, axis: usize) -> Option<u32> {
+        let unit = self.unit;
+        let least = (voxels.first[axis] / unit + 1) * unit;
+        // Behind the last plane lies more than the last voxel: pages are of cells between voxels.
+        let end = voxels.end[axis] - u32::from(unit == PAGE_CELLS && voxels.end[axis] == self.dims[axis]);
+        let most = end.checked_sub(1)? / unit * unit;
+        (least <= most).then(|| ((wanted + unit / 2) / unit * unit).clamp(least, most))
+    }
 }
 
 /// The first step of a range for which `holds` does not hold; it holds for none behind.
@@ -245,7 +270,7 @@ mod tests {
             (Vec3::new(16.0, 20.0, 40.0), Vec3::new(1e-9, -1e-9, -1.0)),
         ];
         for (origin, dir) in lines {
-            let line = PointLine { origin, dir, s0: 0.25, h: 0.5 };
+            let line = PointLine { origin, dir, s0: 0.25, h: 0.5, place: 0.0, shift: 0.0 };
             let mut next = 0;
             split.runs(&line, 0..90, &mut |rank, steps| {
                 assert_eq!(steps.start, next, "runs follow each other");

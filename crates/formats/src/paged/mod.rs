@@ -46,7 +46,7 @@ impl PagedFile {
         let ranges = index.map(|index| index as Arc<dyn PageRanges>);
         // What is kept of the file, three parts of 32 for tables and what is under way, and the base.
         let max_bytes = max_bytes.saturating_sub(max_bytes / 8 + max_bytes / 32 * 3 + base.bytes_in_memory());
-        base.with_paging(Paging { source, ranges, max_bytes })
+        base.with_paging(Paging { source, ranges, max_bytes, own: None })
     }
 
     /// Parts of the file that are not there and have its fill value, as far as they were met.

@@ -13,7 +13,7 @@ use isinglass_core::look::Look;
 use isinglass_core::volume::Volume;
 use isinglass_net::{Identity, Link};
 use isinglass_render::Devices;
-use isinglass_server::{Attendance, Library, ServeOptions, Timing};
+use isinglass_server::{Attendance, Library, Pager, ServeOptions, Timing};
 use serde_json::json;
 use tokio::time::Instant;
 
@@ -106,15 +106,16 @@ fn serve_alone(args: &ServeArgs, given: Given) -> Result<()> {
     let (opened, look) =
         seen.open_to_serve(&args.volume, &args.look, args.light.lighting(), &args.lists, &args.memory)?;
     let library = (!args.fixed).then_some(opened.library);
-    serve(args, &seen, (opened.volume, look), args.gpus.open(&args.backend)?, library)
+    let pager = Pager::of(&opened.volume)?;
+    serve(args, &seen, (opened.volume, look), args.gpus.open(&args.backend)?, library, pager)
 }
 
 /// Serves a volume whose parts several processes hold. Viewers cannot choose another part of the file.
 fn serve_together(args: &ServeArgs, given: Given, together: &Together) -> Result<()> {
     let seen = args.state.read(given)?;
     let light = (args.light.lighting(), &args.lists);
-    together.serve(&seen, (&args.volume, &args.memory), &args.look, light, |volume, look, backend| {
-        serve(args, &seen, (volume, look), backend.into(), None)
+    together.serve(&seen, (&args.volume, &args.memory), &args.look, light, |volume, look, backend, pager| {
+        serve(args, &seen, (volume, look), backend.into(), None, pager)
     })
 }
 
@@ -124,6 +125,7 @@ fn serve(
     (volume, look): (Arc<Volume>, Look),
     devices: Devices,
     library: Option<Library>,
+    pager: Option<Pager>,
 ) -> Result<()> {
     let source = seen.volume(&args.volume)?.source()?.to_owned();
     // A viewer that follows the link opens the state at once.
@@ -145,7 +147,7 @@ fn serve(
         args.identity.as_deref().map_or_else(|| Ok(Identity::generate()?), identity_file::read_or_make)?;
     let runtime = tokio::runtime::Runtime::new().context("no threads for the server")?;
     let served = runtime.block_on(async {
-        let server = isinglass_server::start_as(&identity, options)?;
+        let server = isinglass_server::start_as(&identity, options, pager)?;
         let address = server.address();
         let end = if args.detached { format!("`kill {}`", std::process::id()) } else { "Ctrl-C".into() };
         note(&format!("serving {source} at {address} on {description}; each link lets in one viewer; {end} ends it"));

@@ -25,10 +25,10 @@ impl Viewer {
         {
             let mut talk = self.session.talk();
             talk.look.handle_pages(is_draft);
-            talk.pages.handle_progress(pages.progress);
+            talk.pages.handle_progress(pages.part.progress);
         }
-        self.shown_pages =
-            Some(ShownPages { is_draft, version: pages.version, at: now, took: generated.generate_micros });
+        let (version, took) = (pages.part.version, generated.generate_micros);
+        self.shown_pages = Some(ShownPages { is_draft, version, at: now, took });
     }
 
     /// When the present pose needs a frame of more pages, µs; `None` if nothing is new.

@@ -1,0 +1,116 @@
+//! Volumes that no memory holds: each process reads the pages of its own part, as far as its memory goes.
+
+use std::sync::Arc;
+
+use isinglass_core::kernels::march::Scene;
+use isinglass_core::volume::{PageProgress, PageSet, PageView, PartProgress, PlanKey};
+use serde::{Deserialize, Serialize};
+
+use crate::cluster::Cluster;
+use crate::exchange::ClusterError;
+use crate::jobs::JobCamera;
+
+/// Reads the pages of the own part, and knows how far they are.
+pub trait PageReader: Send + Sync {
+    /// The pages for a viewer's next frame of a scene. What is missing is read from now on.
+    fn pages(&self, key: PlanKey, view: &PageView, scene: &Scene) -> Arc<PageSet>;
+
+    /// How far the own pages for a viewer are.
+    fn progress(&self, key: PlanKey) -> PartProgress;
+
+    /// Whom pages are read for.
+    fn viewers(&self) -> Vec<PlanKey>;
+
+    /// All viewers but these have left.
+    fn keep(&self, viewers: &[PlanKey]);
+
+    /// The pages of all other processes for a viewer are so far.
+    fn note_others(&self, key: PlanKey, others: PartProgress);
+}
+
+/// The pages that a scene is shown by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct PagesOrder {
+    key: PlanKey,
+    camera: JobCamera,
+    rests: bool,
+    /// All viewers of process 0.
+    viewers: Vec<PlanKey>,
+}
+
+impl PagesOrder {
+    pub(crate) fn key(&self) -> PlanKey {
+        self.key
+    }
+}
+
+impl Cluster<'_> {
+    /// What the others need to know of the pages of an ordered scene.
+    pub(crate) fn pages_order(&self, scene: &Scene) -> Option<PagesOrder> {
+        let (key, view) = scene.pages.as_ref()?.set.seen_by()?;
+        let PageView { camera, rests, .. } = view;
+        let viewers = self.reader.map(PageReader::viewers).unwrap_or_default();
+        Some(PagesOrder { key: *key, camera: camera.into(), rests: *rests, viewers })
+    }
+
+    /// A scene by the pages of the own part that are there, or without any.
+    pub(crate) fn by_own_pages(&self, scene: &Scene, order: Option<&PagesOrder>) -> Scene {
+        let (Some(order), Some(reader)) = (order, self.reader) else { return scene.without_pages() };
+        reader.keep(&order.viewers);
+        let view = PageView { camera: order.camera.camera(), region: scene.region(), rests: order.rests };
+        let set = reader.pages(order.key, &view, scene);
+        match &scene.pages {
+            Some(shown) if Arc::ptr_eq(&shown.set, &set) => scene.clone(),
+            _ => scene.with_pages(set, None),
+        }
+    }
+
+    /// Process 0 hears how far the pages of all others are, for some viewers. Whether any are still to come.
+    pub(crate) fn tell_progress(&self, viewers: &[PlanKey]) -> Result<bool, ClusterError> {
+        let Some(reader) = self.reader else { return Ok(false) };
+        let own = viewers.iter().map(|key| reader.progress(*key));
+        let own: Vec<u32> = own.flat_map(words_of).collect();
+        let Some(all) = self.exchange().gather(own)? else { return Ok(false) };
+        let mut is_loading = false;
+        for (place, key) in viewers.iter().enumerate() {
+            let parts = all.iter().skip(1).map(|words| part_of(words, place));
+            let others = parts.fold(PartProgress::default(), PartProgress::and);
+            is_loading |= others.progress.is_loading();
+            reader.note_others(*key, others);
+        }
+        Ok(is_loading)
+    }
+
+    /// How far the pages of all processes are, in all of them.
+    ///
+    /// # Errors
+    /// If the processes cannot talk.
+    pub fn progress_of_all(&self, own: PartProgress) -> Result<PageProgress, ClusterError> {
+        let all = self.exchange().all_gather(&words_of(own))?;
+        let parts = all.iter().map(|words| part_of(words, 0));
+        Ok(parts.fold(PartProgress::default(), PartProgress::and).progress)
+    }
+}
+
+/// Words that tell how far a part is.
+const WORDS: usize = 7;
+
+fn words_of(part: PartProgress) -> [u32; WORDS] {
+    let PartProgress { progress, size, version } = part;
+    let PageProgress { num_wanted, num_resident, num_damaged, coarse_share } = progress;
+    let version = [version as u32, (version >> 32) as u32];
+    [num_wanted, num_resident, num_damaged, coarse_share.to_bits(), size.to_bits(), version[0], version[1]]
+}
+
+/// The part at a place among words; nothing if there are too few.
+fn part_of(words: &[u32], place: usize) -> PartProgress {
+    let Some(&[num_wanted, num_resident, num_damaged, coarse, size, low, high]) =
+        words.as_chunks::<WORDS>().0.get(place)
+    else {
+        return PartProgress::default();
+    };
+    let coarse_share = f32::from_bits(coarse);
+    let progress = PageProgress { num_wanted, num_resident, num_damaged, coarse_share };
+    let version = u64::from(low) | u64::from(high) << 32;
+    PartProgress { progress, size: f32::from_bits(size), version }
+}
