@@ -1,7 +1,8 @@
 // A march through the pages of a volume, whose texels lie in an atlas. Twin of Fields in
 // crates/core/src/kernels/march/field.rs. TABLE and FIELDS stand for the numbers of two bindings.
 
-// For each page of the finest level, x fastest, the index of the field that stands for it, and above LEVEL_SHIFT its level.
+// For each page of the finest level, x fastest, the index of the field that stands for it, and above LEVEL_SHIFT its level;
+// or NOTHING.
 @group(0) @binding(TABLE) var<storage, read> page_table: array<u32>;
 @group(0) @binding(FIELDS) var<storage, read> page_fields: array<PageField>;
 
@@ -23,23 +24,33 @@ fn run_at(line: Line, lattice: Lattice, from_point: u32, stride: u32) -> Run {
     let half = 0.5 * f32(stride);
     var i = from_point;
     while (i < n) {
-        let entry = entry_at(line, lattice, f32(i) + half);
-        let index = entry & ((1u << LEVEL_SHIFT) - 1u);
-        let faces = select(page_fields[index].low, page_fields[index].high, line.dir > vec3f(0.0));
+        let cell = cell_at(line, lattice, f32(i) + half);
+        let entry = entry_of(cell);
+        let is_nothing = entry == NOTHING;
+        let index = select(entry & ((1u << LEVEL_SHIFT) - 1u), 0u, is_nothing);
+        let ascends = line.dir > vec3f(0.0);
+        // Nothing is a page of the finest level.
+        let edge = cell + select(vec3u(0u), vec3u(1u), ascends);
+        let is_outer = (edge == vec3u(0u)) | (edge == scene.page_grid);
+        let inner = vec3f(edge * PAGE_CELLS) + 0.5;
+        let of_cell = select(inner, select(vec3f(-FAR), vec3f(FAR), ascends), is_outer);
+        let of_field = select(page_fields[index].low, page_fields[index].high, ascends);
+        let faces = select(of_field, of_cell, is_nothing);
         let exits = (faces - line.origin) / line.dir;
         let exit = min(min(exits.x, exits.y), exits.z);
         let leaves = ceil((exit - lattice.s0) / lattice.h - half);
         let end = select(n, max(u32(max(leaves, 0.0)), i + 1u), leaves < f32(n));
-        let scale = page_fields[index].scale;
+        let scale = select(page_fields[index].scale, vec3f(1.0), is_nothing);
         // Lattice points from one voxel of the page to the next, as many as at the finest level.
         let pace = max(u32(length(line.dir) / length(line.dir * scale) * (1.0 + 1e-4)), 1u);
-        if (page_fields[index].is_visible == 0u) {
+        if (is_nothing || page_fields[index].is_visible == 0u) {
             let step = stride * pace;
             i = min(i + (end - i + step - 1u) / step * step, n);
             continue;
         }
-        let is_same = end >= n
-            || entry_at(line, lattice, f32(end) + half) >> LEVEL_SHIFT == entry >> LEVEL_SHIFT;
+        let next = entry_of(cell_at(line, lattice, f32(end) + half));
+        let level = select(next >> LEVEL_SHIFT, 0u, next == NOTHING);
+        let is_same = end >= n || level == entry >> LEVEL_SHIFT;
         page = Page(
             scale,
             page_fields[index].offset,
@@ -53,11 +64,14 @@ fn run_at(line: Line, lattice: Lattice, from_point: u32, stride: u32) -> Run {
     return Run(n, n, n, 1u);
 }
 
-// The entry of the table at a place of the lattice, in steps.
-fn entry_at(line: Line, lattice: Lattice, place: f32) -> u32 {
+// The page of the finest level at a place of the lattice, in steps.
+fn cell_at(line: Line, lattice: Lattice, place: f32) -> vec3u {
     let p = line.origin + line.dir * (lattice.s0 + place * lattice.h);
     let index = clamp(p - 0.5, vec3f(0.0), vec3f(scene.dims - 1));
-    let at = min(vec3u(index) / PAGE_CELLS, scene.page_grid - 1u);
+    return min(vec3u(index) / PAGE_CELLS, scene.page_grid - 1u);
+}
+
+fn entry_of(at: vec3u) -> u32 {
     return page_table[(at.z * scene.page_grid.y + at.y) * scene.page_grid.x + at.x];
 }
 
@@ -89,6 +103,10 @@ fn occupancy_byte(plane: u32, i: u32) -> u32 {
     return byte_of(occupancy[page.first_word + plane * PAGE_WORDS + i / 4u], i);
 }
 
+// Stands for a page of which nothing is seen.
+const NOTHING: u32 = 0xffffffffu;
+// Farther away than any point of a volume.
+const FAR: f32 = 1e30;
 // Where the level begins in an entry of the table.
 const LEVEL_SHIFT: u32 = 24;
 // Cells along the side of a page.

@@ -10,8 +10,8 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::mode::Mode;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::{
-    Finest, Histogram, Lighting, Page, PageId, PageSet, Pyramid, PyramidLevel, Volume, VolumeInfo, VoxelKind,
-    Voxels, page_of,
+    Finest, Histogram, Lighting, Page, PageError, PageId, PageRanges, PageSet, PageSource, PageVoxels,
+    Pyramid, PyramidLevel, Volume, VolumeInfo, VoxelKind, Voxels, page_of,
 };
 
 /// Waves and balls: nothing is flat or symmetric.
@@ -147,6 +147,26 @@ impl Levels {
             }
         }
         Arc::new(PageSet::new(self.pyramid.clone(), pages, |_| true))
+    }
+}
+
+impl PageSource for Levels {
+    fn pyramid(&self) -> &Pyramid {
+        &self.pyramid
+    }
+
+    fn read(&self, channel: usize, page: PageId) -> Result<PageVoxels, PageError> {
+        let level = &self.volumes[usize::from(page.level)];
+        let channel = level.channels().nth(channel).ok_or_else(|| PageError::Damaged("no channel".into()))?;
+        Ok(page_of(channel, self.pyramid.first_point(page)))
+    }
+}
+
+impl PageRanges for Levels {
+    fn range(&self, channel: usize, at: [u32; 3]) -> Option<(f32, f32)> {
+        let voxels = self.read(channel, PageId { level: 0, at }).ok()?.voxels;
+        let all = (0..voxels.len()).map(|i| voxels.get(i));
+        Some(all.fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), x| (lo.min(x), hi.max(x))))
     }
 }
 

@@ -144,7 +144,7 @@ fn a_long_volume_is_shown_by_pages() {
     let camera = cameras(&base)[1];
     let view = PageView { camera, region: base.region(), rests: true };
     let pages = pager.settled(ViewerId(0), &view, &base, &|| true);
-    assert!(pages.progress.is_exact(), "{:?}", pages.progress);
+    assert!(pages.part.progress.is_exact(), "{:?}", pages.part.progress);
     let pyramid = pages.set.pyramid().clone();
     let coarsest = pyramid.base_pages(base.whole()).unwrap();
     let coarse = Arc::new(PageSet::new(pyramid, coarsest, |_| true));

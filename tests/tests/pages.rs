@@ -10,14 +10,16 @@ use isinglass_core::channels::{Blend, ChannelLook, Channels};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::image_error::compare;
 use isinglass_core::kernels::layering::generate;
-use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::march::{MarchSettings, Scene, SeenPages, render};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
+use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{
-    Detail, FoundVoxel, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, SlabMode, Slice, SlicePlane,
-    SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
+    Detail, FoundVoxel, Lighting, Page, PageId, PageRanges, PageSet, PageValues, PageVoxels, Paging,
+    SlabMode, Slice, SlicePlane, SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
 };
+use isinglass_formats::preset;
 use isinglass_tests::levels::{
     Levels, cameras, coarser, other_channel, pinned, settings, transfer, volume_of,
 };
@@ -96,6 +98,38 @@ fn pages_of_several_channels_are_the_volume() {
         agree(&whole, &levels, &looks, settings(Mode::Composite, Lighting::default()));
         let looks = Channels { chosen: 2, ..looks };
         agree(&whole, &levels, &looks, settings(Mode::Mip, Lighting::default()));
+    }
+}
+
+#[test]
+fn where_nothing_is_seen_no_means_of_matter_beside_are() {
+    let whole = Builtin::Shells.volume(200);
+    let levels = Arc::new(Levels::of(&whole, &[[1; 3], [2; 3], [8; 3]]));
+    let ranges = Some(levels.clone() as Arc<dyn PageRanges>);
+    let known = Paging { source: levels.clone(), ranges, max_bytes: 1 << 30, own: None };
+    let unknown = Paging { ranges: None, ..known.clone() };
+    let transfer = preset("shells").unwrap();
+    for mode in [Mode::Composite, Mode::Iso, Mode::Mip] {
+        let scene = |v: Volume| Scene::new(Arc::new(v), &transfer, settings(mode, Lighting::default()));
+        let [flat, base, ignorant] = [
+            whole.clone(),
+            levels.base().with_paging(known.clone()),
+            levels.base().with_paging(unknown.clone()),
+        ]
+        .map(scene);
+        let seen = SeenPages::of(&levels.pyramid, &base, &*levels);
+        let set = levels.set(|id| id.level == 0 && seen.sees(id));
+        let num_coarse = set.rough().iter().filter(|is_rough| **is_rough).count();
+        assert!(num_coarse > 4, "{num_coarse} pages are not there");
+        let [paged, without] = [base, ignorant].map(|base| base.with_pages(set.clone(), None));
+        let mut differs = false;
+        for camera in cameras(&flat) {
+            let truth = render(&flat, &camera);
+            same(&render(&paged, &camera), &truth, &format!("{mode:?} {:?}", camera.pose));
+            differs |= render(&without, &camera).pixels != truth.pixels;
+        }
+        // The control: a coarser page in their place shows something, but for the greatest value.
+        assert!(differs || mode == Mode::Mip, "{mode:?}");
     }
 }
 

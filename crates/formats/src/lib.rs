@@ -100,7 +100,9 @@ pub use remembered::Remembered;
 pub use scene::{OpenedScene, open_scene, scene_of};
 pub use selection::{Flip, Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
-pub use source::{ChannelNumbers, OpenOptions, finest_numbers, open, outline, source_exists};
+pub use source::{
+    ChannelNumbers, LEAST_FOR_PAGES, OpenOptions, finest_numbers, open, outline, source_exists,
+};
 pub use state::{
     MAX_LINK_BYTES, MAX_MEASURE_POINTS, MAX_MEASURES, MAX_STATE_BYTES, MAX_VIEWS, MeasureKind, NamedView,
     ReadState, SavedCamera, SavedMeasure, SavedPlane, SavedSlices, SavedState, SavedView, SavedVolume, Srgb,

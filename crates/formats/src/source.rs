@@ -450,7 +450,7 @@ pub(crate) fn file_name(path: &Path) -> String {
 }
 
 /// Least memory for reading by pages: a coarsest level, some pages, and what is kept of the file.
-const LEAST_FOR_PAGES: u64 = 128 << 20;
+pub const LEAST_FOR_PAGES: u64 = 128 << 20;
 /// 8 GiB: a volume of 2048³ bytes, which about fills a large GPU.
 const DEFAULT_MAX_BYTES: u64 = 8 << 30;
 /// Most files in a folder.

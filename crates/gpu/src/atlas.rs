@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use glam::Vec3;
-use isinglass_core::kernels::march::{PageLook, Scene, ScenePages};
+use isinglass_core::kernels::march::{NOTHING, PageLook, Scene, ScenePages};
 use isinglass_core::volume::{BRICK, Lit, PAGE_POINTS, Page, PageSet};
 
 use crate::device::Gpu;
@@ -80,7 +80,7 @@ impl Atlas {
         self.textures.complete(gpu, self.slots.len(), scene, &seen, &mut self.slots)?;
         let slots = self.assign(&seen)?;
         self.upload(gpu, scene, &seen, &slots)?;
-        self.write_fields(gpu, &pages.set, scene, &seen, &slots);
+        self.write_fields(gpu, pages, scene, &seen, &slots);
         Ok(())
     }
 
@@ -195,7 +195,15 @@ impl Atlas {
     }
 
     /// Writes the table, and a field for each page of the set.
-    fn write_fields(&mut self, gpu: &Gpu, set: &PageSet, scene: &Scene, seen: &[Seen<'_>], slots: &[usize]) {
+    fn write_fields(
+        &mut self,
+        gpu: &Gpu,
+        pages: &ScenePages,
+        scene: &Scene,
+        seen: &[Seen<'_>],
+        slots: &[usize],
+    ) {
+        let set = &*pages.set;
         let mut fields: Vec<PageField> = set.pages().iter().map(|page| field_of(set, page)).collect();
         for (Seen { place, page, look }, &slot) in seen.iter().zip(slots) {
             let level = set.pyramid().level(page.id);
@@ -213,7 +221,8 @@ impl Atlas {
         }
         let levels = set.pages().iter().map(|page| u32::from(page.id.level) << LEVEL_SHIFT);
         let levels: Vec<u32> = levels.collect();
-        let table: Vec<u32> = set.table().iter().map(|&place| place | levels[place as usize]).collect();
+        let entry = |place: &u32| levels.get(*place as usize).map_or(NOTHING, |level| place | level);
+        let table: Vec<u32> = pages.table.iter().map(entry).collect();
         let Some([_, table_buffer, fields_buffer]) = &mut self.buffers else { return };
         let contents: [&[u8]; 2] = [bytemuck::cast_slice(&table), bytemuck::cast_slice(&fields)];
         for (buffer, bytes) in [table_buffer, fields_buffer].into_iter().zip(contents) {

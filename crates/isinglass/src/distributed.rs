@@ -25,7 +25,8 @@ use isinglass_core::volume::{
     GHOSTS, Histogram, Lighting, PageSet, PageView, Paging, PartProgress, PlanKey, Split, Volume, VoxelBox,
 };
 use isinglass_formats::{
-    OpenOptions, OpenedScene, Outline, Region, Selection, finest_numbers, open, open_paged, outline, scene_of,
+    LEAST_FOR_PAGES, OpenOptions, OpenedScene, Outline, Region, Selection, finest_numbers, open, open_paged,
+    outline, scene_of,
 };
 use isinglass_render::{Backend, Renderer, Workers};
 use isinglass_server::Pager;
@@ -174,14 +175,14 @@ impl Together {
         let before = agree(exchange, before)?;
         let Outline { dims, spacing, shown, .. } = &before;
         same_everywhere(exchange, "header of the file", &format!("{dims:?} voxels, {spacing:?} apart"))?;
-        let &Selection { time, level, series, .. } = shown;
         if before.pages.is_some() {
-            let selection = Selection { time, level: None, series, ..options.selection };
+            let selection = Selection { level: None, ..options.selection };
             return self.read_by_pages(&source, &OpenOptions { selection, ..options }, *dims);
         }
         let options = OpenOptions { by_pages: false, ..options };
         let split = agree(exchange, Split::evenly(*dims, size).map_err(|e| e.to_string()))?;
         let held = split.held(rank, GHOSTS);
+        let &Selection { time, level, series, .. } = shown;
         let chosen = options.selection;
         let region = Some(region_of(chosen.region, &held));
         let whole = Selection { time, level, series, ..chosen };
@@ -211,6 +212,14 @@ impl Together {
         dims: [u32; 3],
     ) -> Result<(Volume, Split), ClusterError> {
         let exchange = &*self.exchange;
+        let found = options.max_bytes;
+        let too_little = || {
+            let [found, least] = [found, LEAST_FOR_PAGES].map(|bytes| bytes >> 20);
+            format!(
+                "found {found} MiB for a process that reads pages, expected at least {least} MiB (--max-memory)"
+            )
+        };
+        agree(exchange, if found < LEAST_FOR_PAGES { Err(too_little()) } else { Ok(()) })?;
         let split = Split::between_pages(dims, exchange.size()).map_err(|e| e.to_string());
         let split = agree(exchange, split)?;
         let read = |options: &OpenOptions<'_>| {

@@ -212,6 +212,57 @@ fn viewers_notice_nothing_of_several_processes() {
     }
 }
 
+#[test]
+fn processes_read_the_pages_of_their_parts() {
+    let bench = Bench::new();
+    let Some(_) = mpirun() else { return };
+    bench.ok("convert builtin:shells@600 a.ome.zarr");
+    // One process has no room for the finest level of what is seen, and three have.
+    let look = "--clip-box=-0.5,0.5,-0.4,0.4,-0.4,0.4 --tf shells --size 128x96 --backend cpu";
+    let little = "--max-memory 130MiB";
+    bench.ok(&format!("render a.ome.zarr -o truth.png {look}"));
+    bench.ok(&format!("layers a.ome.zarr -o single.iglf {look}"));
+    let off = |picture: &str| {
+        let found = bench.json(&format!("compare truth.png {picture} --json"));
+        found["max_abs_255"].as_u64().expect("a number")
+    };
+    let own = |frame: &str| {
+        bench.ok(&format!("reproject {frame} -o seen.png --backend cpu"));
+        off("seen.png")
+    };
+    // The control.
+    bench.ok(&format!("render a.ome.zarr -o alone.png {look} {little}"));
+    assert!(off("alone.png") > 1, "one process has room");
+    let of_single = own("single.iglf");
+    for num in 2..=3 {
+        for (words, result) in [("render", "all.png"), ("layers", "all.iglf")] {
+            let words = format!("{words} a.ome.zarr -o {result} {look} {little} --distributed");
+            let output = run(&bench, num, &words).expect("mpirun is there");
+            let text = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(output.status.success() && !text.contains("coarser"), "{num} processes: {text}");
+        }
+        assert!(off("all.png") <= 1, "{num} processes: {}/255", off("all.png"));
+        assert!(own("all.iglf") <= of_single + 1, "{num} processes");
+    }
+    // Viewers see the finest level as soon as all processes have read their pages.
+    bench.write("a.path", "0 10 20\n0.2 10 20\n0.7 30 20\n8 30 20\n");
+    let look = look.replace("--size 128x96 --backend cpu", "");
+    let words = format!("a.ome.zarr {look} {little} --end-after-last 1s");
+    let (mut server, link) = serve(&bench, 3, &words).expect("mpirun is there");
+    let view =
+        "--headless --path a.path --out out --every 15 --size 128x96 --refresh 30 --backend cpu --json";
+    let report = bench.json(&format!("view {link} {view}"));
+    assert!(report["viewers"][0]["exact_after_ms"][0].is_f64(), "{report}");
+    assert!(off("out/rest-1.png") <= 1, "{}/255", off("out/rest-1.png"));
+    assert!(ended(&mut server.0).success());
+    // Too little memory for pages is one line.
+    let words = format!("render a.ome.zarr -o all.png {look} --max-memory 70MiB --distributed");
+    let output = run(&bench, 2, &words).expect("mpirun is there");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    let ours: Vec<_> = text.lines().filter(|line| line.starts_with("isinglass")).collect();
+    assert!(ours.len() == 1 && ours[0].contains("expected at least 128 MiB"), "{text}");
+}
+
 /// The number of a process that mpirun has started and that has been at work for a moment.
 fn child_of(job: &Child) -> u32 {
     for _ in 0..1000 {

@@ -83,6 +83,19 @@ impl Pyramid {
         Ok(volume.with_finest(Finest { dims, spacing, first, stored_range, histogram }))
     }
 
+    /// Writes into a table of the finest level's pages, x fastest, where a page lies.
+    fn fill<T: Copy>(&self, page: PageId, table: &mut [T], value: T) {
+        let (grid, factor) = (self.pages(0), self.level(page).factor);
+        let span = |i: usize| {
+            let start = (page.at[i] * factor[i]).min(grid[i]);
+            start as usize..((page.at[i] + 1) * factor[i]).min(grid[i]) as usize
+        };
+        for (z, y) in span(2).flat_map(|z| span(1).map(move |y| (z, y))) {
+            let row = (z * grid[1] as usize + y) * grid[0] as usize;
+            table[row + span(0).start..row + span(0).end].fill(value);
+        }
+    }
+
     fn check_kind(&self, voxels: &Voxels) -> Result<(), VolumeError> {
         let (found, expected) = (voxels.kind(), self.kind);
         if found == expected { Ok(()) } else { Err(VolumeError::Kind { found, expected }) }
@@ -159,6 +172,8 @@ pub struct PageSet {
     /// For each page of the finest level, x fastest, the place in `pages` of the one that stands for it.
     table: Vec<u32>,
     pages: Vec<Arc<Page>>,
+    /// For each page of the finest level, whether it is looked at and a coarser one stands for it.
+    rough: Vec<bool>,
     seen_by: Option<(PlanKey, PageView)>,
 }
 
@@ -171,17 +186,22 @@ impl PageSet {
         let grid = pyramid.pages(0);
         let mut table = vec![0; grid.iter().map(|n| *n as usize).product()];
         for (slot, page) in pages.iter().enumerate().filter(|(_, page)| is_shown(page.id)) {
-            let factor = pyramid.level(page.id).factor;
-            let span = |i: usize| {
-                let start = (page.id.at[i] * factor[i]).min(grid[i]);
-                start as usize..((page.id.at[i] + 1) * factor[i]).min(grid[i]) as usize
-            };
-            for (z, y) in span(2).flat_map(|z| span(1).map(move |y| (z, y))) {
-                let row = (z * grid[1] as usize + y) * grid[0] as usize;
-                table[row + span(0).start..row + span(0).end].fill(slot as u32);
-            }
+            pyramid.fill(page.id, &mut table, slot as u32);
         }
-        Self { pyramid, grid, table, pages, seen_by: None }
+        let rough = table.iter().map(|slot| pages[*slot as usize].id.level > 0).collect();
+        Self { pyramid, grid, table, pages, rough, seen_by: None }
+    }
+
+    /// The same set, of which only the parts of these pages are looked at and not fine yet.
+    pub fn with_rough(mut self, pages: impl Iterator<Item = PageId>) -> Self {
+        self.rough.fill(false);
+        pages.for_each(|page| self.pyramid.fill(page, &mut self.rough, true));
+        self
+    }
+
+    /// For each page of the finest level, x fastest, whether it is looked at and a coarser one stands for it.
+    pub fn rough(&self) -> &[bool] {
+        &self.rough
     }
 
     /// The same set, which was chosen for a viewer.
@@ -214,10 +234,14 @@ impl PageSet {
         &self.table
     }
 
-    /// The place in [`Self::pages`] of the page that stands for a page of the finest level, which must exist.
+    /// The place in [`Self::table`] of a page of the finest level, which must exist.
     #[inline]
-    pub fn slot(&self, [x, y, z]: [u32; 3]) -> usize {
-        self.table[((z as usize * self.grid[1] as usize) + y as usize) * self.grid[0] as usize + x as usize]
-            as usize
+    pub fn cell(&self, [x, y, z]: [u32; 3]) -> usize {
+        ((z as usize * self.grid[1] as usize) + y as usize) * self.grid[0] as usize + x as usize
+    }
+
+    /// The place in [`Self::pages`] of the page that stands for a page of the finest level, which must exist.
+    pub fn slot(&self, at: [u32; 3]) -> usize {
+        self.table[self.cell(at)] as usize
     }
 }

@@ -24,6 +24,8 @@ pub struct PagePlan {
     leaves: HashSet<PageId>,
     /// For each step that finer pages replace, these.
     parts: HashMap<PageId, Vec<PageId>>,
+    /// Pages of the coarsest level that nothing finer replaces.
+    coarsest: Vec<PageId>,
     /// Share of the view that the finest level does not fill for lack of memory, 0 to 1.
     coarse_share: f32,
     /// About the part of the picture that all of the view fills, in no unit.
@@ -136,6 +138,12 @@ impl PagePlan {
                 offer(&mut heap, id);
             }
         }
+        // Finer leaves are in the plan.
+        let stays = |coarsest: &mut Vec<PageId>, id: PageId| {
+            if id.level == last && last > 0 {
+                coarsest.push(id);
+            }
+        };
         let enough = if view.rests { 0.0 } else { PIXELS_IN_MOTION };
         let (mut num_pages, mut coarse, mut all) = (0, 0.0, 0.0);
         while let Some(Candidate { pixels, id }) = heap.pop() {
@@ -145,6 +153,7 @@ impl PagePlan {
             };
             if pixels <= enough {
                 all += screen.share(id);
+                stays(&mut plan.coarsest, id);
                 continue;
             }
             let finer = parts(pyramid, id, level).filter(|id| screen.sees(*id) && is_visible(*id));
@@ -154,6 +163,7 @@ impl PagePlan {
             if num_pages + finer.len() > max_pages + freed {
                 coarse += screen.share(id);
                 all += screen.share(id);
+                stays(&mut plan.coarsest, id);
                 continue;
             }
             num_pages = num_pages + finer.len() - freed;
@@ -464,7 +474,11 @@ impl Residency {
                 })
         };
         let pages = self.base.iter().chain(self.resident.values()).cloned().collect();
-        PageSet::new(self.pyramid.clone(), pages, is_shown)
+        let set = PageSet::new(self.pyramid.clone(), pages, is_shown);
+        let Some(plan) = plan else { return set };
+        let is_rough = |id: &&PageId| id.level > 0 || !self.resident.contains_key(id);
+        let rough = plan.leaves.iter().filter(is_rough).chain(&plan.coarsest).copied();
+        set.with_rough(rough)
     }
 
     /// The finest page in memory that stands for a page of the finest level, which must exist.

@@ -7,7 +7,7 @@ use super::mixed::AnyGrid;
 use super::pages::PageLook;
 use super::{Lattice, Scene};
 use crate::kernels::march::glossy::VoxelRay;
-use crate::volume::{BRICK, Bricks, Lit, Occupancy, PAGE_CELLS, PAGE_POINTS, Page, PageSet, Volume};
+use crate::volume::{BRICK, Bricks, Lit, Occupancy, PAGE_CELLS, PAGE_POINTS, Page, PageId, PageSet, Volume};
 
 /// The texels of one grid.
 pub(super) struct MarchField<'a, T> {
@@ -129,7 +129,7 @@ pub(super) struct Fields<'a, T> {
     whole: MarchField<'a, T>,
     /// The pages, in the order of their set.
     pages: Vec<MarchField<'a, T>>,
-    set: Option<&'a PageSet>,
+    set: Option<(&'a PageSet, &'a [u32])>,
     /// Greatest index of the finest level along x, y, z.
     last: Vec3,
 }
@@ -144,7 +144,7 @@ impl<'a, T: TexelsOf<'a>> Fields<'a, T> {
         let each = set.pages().iter().zip(&pages.looks);
         let fields = each.map(|(page, look)| MarchField::page(scene, set, page, look)).collect();
         let last = Vec3::from_array(set.pyramid().dims().map(|n| n as f32 - 1.0));
-        Self { whole, pages: fields, set: Some(set), last }
+        Self { whole, pages: fields, set: Some((set, &pages.table)), last }
     }
 }
 
@@ -160,40 +160,46 @@ impl<'a, T: Texels> Fields<'a, T> {
         stride: u32,
     ) -> Option<(&MarchField<'a, T>, Run)> {
         let n = lattice.n;
-        let Some(set) = self.set else {
+        let Some((set, table)) = self.set else {
             return (*i < n).then_some((&self.whole, Run { end: n, limit: n, pace: 1 }));
         };
         while *i < n {
             // A step belongs to the page of its middle, so both ends are at most half a step outside.
             let half = 0.5 * stride as f32;
-            let slot = self.slot(set, ray, lattice, *i as f32 + half);
-            let field = &self.pages[slot];
-            let leaves = Vec3::select(ray.dir.cmpgt(Vec3::ZERO), field.faces.1, field.faces.0);
+            let at = self.cell(set, ray, lattice, *i as f32 + half);
+            // Nothing is a page of the finest level.
+            let field = self.pages.get(table[set.cell(at)] as usize);
+            let faces =
+                field.map_or_else(|| set.pyramid().faces(PageId { level: 0, at }), |field| field.faces);
+            let leaves = Vec3::select(ray.dir.cmpgt(Vec3::ZERO), faces.1, faces.0);
             let exit = ((leaves - ray.origin) * ray.dir.recip()).min_element();
             let end = ((exit - lattice.s0) / lattice.h - half).ceil();
             let end = if end < n as f32 { (end as u32).max(*i + 1) } else { n };
-            let in_level = ray.dir * field.place.0;
+            let in_level = ray.dir * field.map_or(Vec3::ONE, |field| field.place.0);
             let pace = ((ray.dir.length() / in_level.length()) * (1.0 + 1e-4)) as u32;
             let pace = pace.max(1);
-            if !field.is_visible {
+            let Some(field) = field.filter(|field| field.is_visible) else {
                 let step = stride.saturating_mul(pace);
                 *i = i.saturating_add((end - *i).div_ceil(step).saturating_mul(step)).min(n);
                 continue;
-            }
-            let is_same =
-                end >= n || self.pages[self.slot(set, ray, lattice, end as f32 + half)].level == field.level;
+            };
+            let level_at = |place: f32| {
+                let cell = set.cell(self.cell(set, ray, lattice, place));
+                self.pages.get(table[cell] as usize).map_or(0, |field| field.level)
+            };
+            let is_same = end >= n || level_at(end as f32 + half) == field.level;
             return Some((field, Run { end, limit: if is_same { n } else { end }, pace }));
         }
         None
     }
 
-    /// The place in the set of the page at a place of the lattice, in steps.
+    /// The page of the finest level at a place of the lattice, in steps.
     #[inline(always)]
-    fn slot(&self, set: &PageSet, ray: &VoxelRay, lattice: Lattice, place: f32) -> usize {
+    fn cell(&self, set: &PageSet, ray: &VoxelRay, lattice: Lattice, place: f32) -> [u32; 3] {
         let p = ray.origin + ray.dir * (lattice.s0 + place * lattice.h);
         let index = (p - 0.5).max(Vec3::ZERO).min(self.last);
         let grid = set.grid();
         let place = index.to_array().map(|x| x as u32 / PAGE_CELLS);
-        set.slot(std::array::from_fn(|i| place[i].min(grid[i] - 1)))
+        std::array::from_fn(|i| place[i].min(grid[i] - 1))
     }
 }

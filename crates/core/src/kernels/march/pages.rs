@@ -19,7 +19,14 @@ pub struct ScenePages {
     pub set: Arc<PageSet>,
     /// What the look makes of each page, in the order of the set.
     pub looks: Vec<Arc<PageLook>>,
+    /// For each page of the finest level, x fastest, the place in the set of the one that stands for it, or [`NOTHING`].
+    pub table: Arc<[u32]>,
+    /// The pages of which anything may be seen, if values are known.
+    seen: Option<Arc<SeenPages>>,
 }
+
+/// Stands for a page of the finest level of which the look shows nothing, whatever a coarser one would show there.
+pub const NOTHING: u32 = u32::MAX;
 
 /// A page under a look.
 #[derive(Debug)]
@@ -89,7 +96,15 @@ impl Scene {
             }
         };
         let looks = set.pages().par_iter().map(look).collect();
-        ScenePages { set, looks }
+        let known = with_pages.filter(|_| is_alike).map(|(_, pages)| pages.seen.clone());
+        let seen = known.unwrap_or_else(|| self.seen_pages(&set));
+        let table = table_of(&set, seen.as_deref());
+        ScenePages { set, looks, table, seen }
+    }
+
+    fn seen_pages(&self, set: &PageSet) -> Option<Arc<SeenPages>> {
+        let ranges = self.whole().paging()?.ranges.as_ref()?;
+        Some(Arc::new(SeenPages::of(set.pyramid(), self, &**ranges)))
     }
 
     /// A page under this scene's look. `known` is what it was before, and whether the same was visible then.
@@ -138,7 +153,7 @@ impl Scene {
             _ => look.clone(),
         };
         let looks = all.map(newest).collect();
-        Self { pages: Some(ScenePages { set: pages.set.clone(), looks }), ..self.clone() }
+        Self { pages: Some(ScenePages { looks, ..pages.clone() }), ..self.clone() }
     }
 
     /// The voxels in a page of the channel that is marched first.
@@ -233,6 +248,26 @@ impl SeenPages {
         let [x, y, z] = id.at;
         seen.get(((z * ny + y) * nx + x) as usize).copied().unwrap_or(true)
     }
+}
+
+/// The table of a set. Where nothing is seen, a coarser page would show the means of matter beside. Only beside coarser
+/// matter it does, as that would end at a face.
+fn table_of(set: &PageSet, seen: Option<&SeenPages>) -> Arc<[u32]> {
+    let Some(seen) = seen else { return set.table().into() };
+    let cells: Vec<PageId> = places(set.grid()).map(|at| PageId { level: 0, at }).collect();
+    let mut near: Vec<bool> =
+        cells.iter().zip(set.rough()).map(|(id, rough)| *rough && seen.sees(*id)).collect();
+    for axis in 0..3 {
+        let is_rough = |at: &[u32; 3], step: i64| {
+            let mut beside = *at;
+            let moved = i64::from(at[axis]) + step;
+            beside[axis] = u32::try_from(moved).ok().filter(|n| *n < set.grid()[axis])?;
+            Some(near[set.cell(beside)])
+        };
+        near = cells.iter().map(|id| (-1..=1).any(|step| is_rough(&id.at, step) == Some(true))).collect();
+    }
+    let stands = cells.iter().zip(&near).zip(set.table());
+    stands.map(|((id, near), slot)| if *near || seen.sees(*id) { *slot } else { NOTHING }).collect()
 }
 
 fn places([nx, ny, nz]: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
