@@ -11,7 +11,7 @@ use isinglass_core::mode::Mode;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::{
     Finest, Histogram, Lighting, Page, PageError, PageId, PageRanges, PageSet, PageSource, PageVoxels,
-    Pyramid, PyramidLevel, Volume, VolumeInfo, VoxelKind, Voxels, page_of,
+    Paging, Pyramid, PyramidLevel, Volume, VolumeInfo, VoxelKind, Voxels, page_of,
 };
 
 /// Waves and balls: nothing is flat or symmetric.
@@ -147,6 +147,14 @@ impl Levels {
             }
         }
         Arc::new(PageSet::new(self.pyramid.clone(), pages, |_| true))
+    }
+}
+
+impl Levels {
+    /// How their pages are read, with known values.
+    pub fn paging(self: &Arc<Self>) -> Paging {
+        let ranges = Some(self.clone() as Arc<dyn PageRanges>);
+        Paging { source: self.clone(), ranges, max_bytes: 1 << 30, own: None }
     }
 }
 

@@ -8,12 +8,13 @@ use std::sync::Arc;
 use glam::Vec3;
 use isinglass_core::channels::{Blend, ChannelLook, Channels};
 use isinglass_core::clip::{Clip, Plane};
-use isinglass_core::kernels::march::{MarchSettings, Scene, render};
+use isinglass_core::kernels::march::{MarchSettings, NOTHING, Scene, SeenPages, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::admission::ViewerId;
+use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Lighting, PageSet, PageView, Volume, VoxelKind, Voxels};
-use isinglass_formats::{Dtype, Endian, OpenOptions, RawShape, open};
+use isinglass_formats::{Dtype, Endian, OpenOptions, RawShape, open, preset};
 use isinglass_gpu::{Gpu, GpuRenderer};
 use isinglass_server::Pager;
 use isinglass_tests::levels::{Levels, cameras, other_channel, settings, transfer, volume_of, voxels};
@@ -85,6 +86,22 @@ fn pages_look_as_on_the_cpu() {
     agree(gpu, &scene(levels.base(), &Channels::default(), clipped), &sets(&levels), "clipped");
     let unshaded = MarchSettings { shading: None, ..settings(Mode::Composite, Lighting::default()) };
     agree(gpu, &scene(levels.base(), &Channels::default(), unshaded), &sets(&levels), "unshaded");
+}
+
+#[test]
+fn where_nothing_is_seen_both_show_nothing() {
+    let Some(gpu) = gpu() else { return };
+    let levels = Arc::new(Levels::of(&Builtin::Shells.volume(150), &[[1; 3], [2; 3], [8; 3]]));
+    let shells = preset("shells").unwrap();
+    for mode in [Mode::Composite, Mode::Iso] {
+        let base = levels.base().with_paging(levels.paging());
+        let base = Scene::new(Arc::new(base), &shells, settings(mode, Lighting::default()));
+        let seen = SeenPages::of(&levels.pyramid, &base, &*levels);
+        let finest = levels.set(|id| id.level == 0 && seen.sees(id));
+        assert!(base.with_pages(finest.clone(), None).pages.unwrap().table.contains(&NOTHING));
+        let half = levels.set(|id| id.level == 0 && seen.sees(id) && id.at[0] == 0);
+        agree(gpu, &base, &[finest, half, levels.set(|_| false)], &format!("shells, {mode:?}"));
+    }
 }
 
 #[test]

@@ -16,8 +16,8 @@ use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{
-    Detail, FoundVoxel, Lighting, Page, PageId, PageRanges, PageSet, PageValues, PageVoxels, Paging,
-    SlabMode, Slice, SlicePlane, SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
+    Detail, FoundVoxel, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, Paging, SlabMode, Slice,
+    SlicePlane, SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
 };
 use isinglass_formats::preset;
 use isinglass_tests::levels::{
@@ -105,8 +105,7 @@ fn pages_of_several_channels_are_the_volume() {
 fn where_nothing_is_seen_no_means_of_matter_beside_are() {
     let whole = Builtin::Shells.volume(200);
     let levels = Arc::new(Levels::of(&whole, &[[1; 3], [2; 3], [8; 3]]));
-    let ranges = Some(levels.clone() as Arc<dyn PageRanges>);
-    let known = Paging { source: levels.clone(), ranges, max_bytes: 1 << 30, own: None };
+    let known = levels.paging();
     let unknown = Paging { ranges: None, ..known.clone() };
     let transfer = preset("shells").unwrap();
     for mode in [Mode::Composite, Mode::Iso, Mode::Mip] {
