@@ -110,7 +110,8 @@ impl PartRays {
         let mut all = Self { rays: Vec::new(), num_columns, rows: rows.to_vec(), places: Vec::new() };
         for (rays, places) in found {
             let before = all.rays.len() as u32;
-            all.places.extend(places.iter().map(|&place| if place == NO_RAY { place } else { before + place }));
+            all.places
+                .extend(places.iter().map(|&place| if place == NO_RAY { place } else { before + place }));
             all.rays.extend(rays);
         }
         all
