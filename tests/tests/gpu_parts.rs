@@ -6,6 +6,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
@@ -263,8 +264,8 @@ fn looks_take_turns_and_long_rays_get_room() {
     let surface = Look::new("surface", volume, MarchSettings { mode: Mode::Iso, isos, ..flat });
     let along = |look: &Look| {
         let bounds = look.volume.bounds();
-        let pose = Pose::look_at(Vec3::X * 2.0 * bounds.radius(), Vec3::ZERO, Vec3::Y);
-        Camera::new(pose, Intrinsics::perspective(20, 20, 0.25), &bounds)
+        let pose = Pose::look_at(Vec3::X * 6.0 * bounds.radius(), Vec3::ZERO, Vec3::Y);
+        Camera::new(pose, Intrinsics::perspective(20, 20, 0.04), &bounds)
     };
     let split = Split::grid([160, 24, 24], [1, 1, 1]).unwrap();
     let [ours, theirs] = [on_gpu as fn(usize) -> _, on_processors];
@@ -280,7 +281,7 @@ fn looks_take_turns_and_long_rays_get_room() {
             all.into_iter().flatten().count()
         });
         assert!(steps[0].abs_diff(steps[1]) <= steps[1] / 50, "{}: {steps:?} words", look.name);
-        // 16 counted rays, of which a step has seven words: more than the usual 128 steps each.
+        // 25 counted rays, of which a step has seven words: more than the usual 128 steps each.
         assert!(look.name == "surface" || steps[0] > 25 * 7 * 140, "{steps:?}");
         let pieces = parts.pieces(&asked);
         let [a, b] = [parts.frame_of(&asked, &pieces), of_cpu.frame_of(&asked, &of_cpu.pieces(&asked))]
@@ -323,5 +324,37 @@ fn a_scan_on_gpus_is_the_scan() {
         let [found, of_single] = [&frame, &single].map(|frame| psnr(&seen(frame, 1), &truth[1]));
         println!("{mode:?}: {found:.2} dB at 10 degrees, one process {of_single:.2}");
         assert!(found > of_single - 0.1, "{mode:?}: {found} dB, one process {of_single}");
+    }
+}
+
+#[test]
+#[ignore = "prints a table"]
+fn times_of_parts() {
+    let Some(gpu) = gpu() else { return };
+    println!("{}; 1280×720 of four parts of 384³, in milliseconds", gpu.info());
+    for mode in [Mode::Composite, Mode::Iso, Mode::Mip] {
+        let isos = Isos::new(&[Iso { value: 90.0, opacity: 1.0 }]).unwrap();
+        let settings = MarchSettings { mode, isos, ..MarchSettings::of(true, Lighting::default()) };
+        let look = Look { distance: 1.6, ..Look::new("cloud", Builtin::Cloud.volume(384), settings) };
+        let header = FrameHeader::alone(look.camera(0.0, (1280, 720)), 8);
+        for (device, by) in [("cpu", on_processors as fn(usize) -> _), ("gpu", on_gpu)] {
+            let parts = Parts::of(&look, Split::evenly([384; 3], 4).unwrap(), by);
+            let asked = parts.asked(header);
+            let rows: Vec<u32> = (0..720).collect();
+            // All rows at once, and the 32 of a slice.
+            let taken = |rows_at_once: usize| {
+                parts.each(|marcher, part| {
+                    let of_rows =
+                        || rows.chunks(rows_at_once).map(|rows| marcher.pieces(part, &asked, &[rows]));
+                    // The first time uploads and compiles.
+                    let words: usize = of_rows().flatten().map(|words| words.len()).sum();
+                    let since = Instant::now();
+                    let again: usize = of_rows().flatten().map(|words| words.len()).sum();
+                    assert_eq!(words, again);
+                    since.elapsed().as_millis()
+                })
+            };
+            println!("{mode:?} on {device}: at once {:?}, by slices {:?}", taken(720), taken(32));
+        }
     }
 }
