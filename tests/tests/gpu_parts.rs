@@ -331,16 +331,17 @@ fn a_scan_on_gpus_is_the_scan() {
 #[ignore = "prints a table"]
 fn times_of_parts() {
     let Some(gpu) = gpu() else { return };
-    println!("{}; 1280×720 of four parts of 384³, in milliseconds", gpu.info());
+    let (side, (width, height)) = if gpu.info().is_software { (160, (320, 180)) } else { (512, (1280, 720)) };
+    println!("{}; {width}×{height} of four parts of {side}³, in milliseconds", gpu.info());
     for mode in [Mode::Composite, Mode::Iso, Mode::Mip] {
         let isos = Isos::new(&[Iso { value: 90.0, opacity: 1.0 }]).unwrap();
         let settings = MarchSettings { mode, isos, ..MarchSettings::of(true, Lighting::default()) };
-        let look = Look { distance: 1.6, ..Look::new("cloud", Builtin::Cloud.volume(384), settings) };
-        let header = FrameHeader::alone(look.camera(0.0, (1280, 720)), 8);
+        let look = Look { distance: 1.6, ..Look::new("cloud", Builtin::Cloud.volume(side), settings) };
+        let header = FrameHeader::alone(look.camera(0.0, (width, height)), 8);
         for (device, by) in [("cpu", on_processors as fn(usize) -> _), ("gpu", on_gpu)] {
-            let parts = Parts::of(&look, Split::evenly([384; 3], 4).unwrap(), by);
+            let parts = Parts::of(&look, Split::evenly([side; 3], 4).unwrap(), by);
             let asked = parts.asked(header);
-            let rows: Vec<u32> = (0..720).collect();
+            let rows: Vec<u32> = (0..height).collect();
             // All rows at once, and the 32 of a slice.
             let taken = |rows_at_once: usize| {
                 parts.each(|marcher, part| {
@@ -354,7 +355,7 @@ fn times_of_parts() {
                     since.elapsed().as_millis()
                 })
             };
-            println!("{mode:?} on {device}: at once {:?}, by slices {:?}", taken(720), taken(32));
+            println!("{mode:?} on {device}: at once {:?}, by slices {:?}", taken(height as usize), taken(32));
         }
     }
 }

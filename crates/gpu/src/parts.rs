@@ -97,6 +97,10 @@ impl GatherTarget {
                     }
                 }
                 all.words.extend(words);
+                let (needed, limit) = (all.words.len() as u64, u32::MAX.into());
+                if needed > limit {
+                    return Err(GpuError::TooLarge { what: "items of rays in words", needed, limit });
+                }
             }
             (left, capacity) = (again, longest);
         }
