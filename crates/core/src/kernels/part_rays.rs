@@ -153,7 +153,7 @@ mod tests {
     fn rays_come_in_tiles_and_words_in_rows() {
         let lattice = Lattice { s0: 0.0, h: 1.0, first: 0, n: 1, unit: 1.0 };
         let (columns, rows) = ((0..19).collect::<Vec<u32>>(), [3, 4, 5, 8, 9]);
-        let meets = |x: u32, y: u32| (x + y) % 3 != 0;
+        let meets = |x: u32, y: u32| !(x + y).is_multiple_of(3);
         let found = PartRays::found_by(&columns, &rows, |x, y| {
             meets(x, y).then_some(PartRay { pixel: [x as u16, y as u16], lattice })
         });
