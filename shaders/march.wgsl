@@ -27,10 +27,12 @@
 // Binding 3 are the voxels, and those from 5 on the voxels of more channels.
 @group(0) @binding(4) var lit: texture_3d<u32>;
 
-// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n. No steps if the ray misses.
+// Equal steps along a ray: lattice point i is at world distance s0 + i·h, i in 0..=n. No steps if the ray misses. A part of
+// a lattice has the steps from `first` on, and an earlier end.
 struct Lattice {
     s0: f32,
     h: f32,
+    first: u32,
     n: u32,
     unit: f32,
 }
@@ -84,13 +86,13 @@ fn scene_lattice(ray: Ray, near: f32) -> Lattice {
     let s0 = max(clipped.s0, near);
     let s1 = clipped.s1;
     if (s1 <= s0) {
-        return Lattice(0.0, 0.0, 0u, 0.0);
+        return Lattice(0.0, 0.0, 0u, 0u, 0.0);
     }
     let v = scene.voxel_from_world;
     let share = min(length(ray.dir * v) / max(max(v.x, v.y), v.z), 1.0);
     let n = clamp(ceil((s1 - s0) / scene.step_length * share), 1.0, MAX_STEPS);
     let h = (s1 - s0) / n;
-    return Lattice(s0, h, u32(n), h * share);
+    return Lattice(s0, h, 0u, u32(n), h * share);
 }
 
 // STRIDE behind matter that nothing can be seen through.
@@ -115,7 +117,7 @@ fn skip(line: Line, lattice: Lattice, run: Run, first: u32, stride: u32) -> u32 
         // The last lattice point inside of the invisible bricks around.
         let reach = select(1.0, f32(at.empty), is_fine);
         let leaves = at.brick + select(vec3f(1.0 - reach), vec3f(reach), line.dir > vec3f(0.0));
-        let exits = (leaves * f32(BRICK) + vec3f(first_texel()) - line.origin) / line.dir;
+        let exits = (leaves * f32(BRICK) + first_brick() - line.origin) / line.dir;
         let exit = min(min(exits.x, exits.y), exits.z);
         let j = u32(clamp((exit - lattice.s0) / lattice.h, 0.0, f32(run.end)));
         if (j > i) {
@@ -135,7 +137,7 @@ fn skip(line: Line, lattice: Lattice, run: Run, first: u32, stride: u32) -> u32 
 }
 
 fn brick_at(line: Line, lattice: Lattice, i: u32) -> Brick {
-    let p = line.origin + line.dir * (lattice.s0 + f32(i) * lattice.h) - vec3f(first_texel());
+    let p = line.origin + line.dir * (lattice.s0 + f32(i) * lattice.h) - first_brick();
     let brick = floor(clamp(p * (1.0 / f32(BRICK)), vec3f(0.0), vec3f(brick_dims()) - 1.0));
     let at = vec3u(brick);
     let index = (at.z * brick_dims().y + at.y) * brick_dims().x + at.x;
@@ -158,12 +160,12 @@ fn march(ray: Ray, lattice: Lattice) {
     let n = lattice.n;
     let origin = ray.origin * scene.voxel_from_world + scene.voxel_origin;
     let whole = Line(origin, safe_dir(ray.dir) * scene.voxel_from_world);
-    var i = 0u;
+    var i = lattice.first;
     var stride = 1u;
     // The last sample, if it was lattice point i.
     var x_front = At();
     var has_x_front = false;
-    var run = run_at(whole, lattice, 0u, 1u);
+    var run = run_at(whole, lattice, i, 1u);
     var line = line_in_field(whole);
     i = run.first;
     // One loop for all runs, so that invocations in fields of other sizes do not wait for each other.

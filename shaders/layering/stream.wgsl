@@ -40,7 +40,9 @@ fn generate_list(ray: Ray, lattice: Lattice) {
 }
 
 fn list_at(threshold: f32, ray: Ray, lattice: Lattice) {
-    stream = Stream(threshold, lattice.s0, 1.0 / (lattice.h * f32(lattice.n)), 0u, false, 0.0, 0u, 0x43210u, out.lane);
+    let start = lattice.s0 + f32(lattice.first) * lattice.h;
+    let per_length = 1.0 / (lattice.h * f32(lattice.n - lattice.first));
+    stream = Stream(threshold, start, per_length, 0u, false, 0.0, 0u, 0x43210u, out.lane);
     begin_pieces(lattice);
     march(ray, lattice);
     finish_stream();

@@ -146,10 +146,6 @@ fn deviation(first: f32, second: f32, per_total: f32) -> f32 {
     return sqrt(max(second * per_total - mean * mean, 0.0));
 }
 
-fn push_piece(piece: Piece) {
-    push(OpenSegment(piece.c, piece.tau, piece.s0, piece.s1, piece.alpha));
-}
-
 // Least visibility of matter.
 const VISIBILITY_FLOOR: f32 = 0.1;
 // Weight of displaced colour, as sRGB, against displaced opacity.

@@ -70,5 +70,3 @@ const LEAST_SQUARE: f32 = 1e-37;
 const LEAST_DIFFUSE: f32 = 1e-3;
 // Steepest gradient, domain positions per voxel.
 const GRADIENT_MAX: f32 = 1e6;
-// Greatest colour that the wire carries.
-const COLOR_MAX: f32 = 1.25;

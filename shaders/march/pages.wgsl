@@ -87,6 +87,10 @@ fn last_texel() -> vec3i {
     return page.last;
 }
 
+fn first_brick() -> vec3f {
+    return vec3f(page.first);
+}
+
 fn steepness() -> vec3f {
     return page.scale;
 }

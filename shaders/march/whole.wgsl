@@ -17,6 +17,10 @@ fn last_texel() -> vec3i {
     return scene.dims - 1;
 }
 
+fn first_brick() -> vec3f {
+    return scene.first_brick;
+}
+
 fn steepness() -> vec3f {
     return scene.steepness;
 }

@@ -7,13 +7,18 @@ fn sink_step(step: Step) -> u32 {
     return 1u;
 }
 
-fn seen(ray: Ray, lattice: Lattice) -> vec4f {
+// The key comes last; negative where there is nothing.
+fn collected(ray: Ray, lattice: Lattice) -> vec4f {
     greatest = -1.0;
     march(ray, lattice);
-    if (greatest < 0.0) {
+    return vec4f(0.0, 0.0, 0.0, greatest);
+}
+
+fn shown(collected: vec4f, lattice: Lattice) -> vec4f {
+    if (collected.w < 0.0) {
         return vec4f(0.0);
     }
-    return projected_rgba(shown_of_key(greatest));
+    return projected_rgba(shown_of_key(collected.w));
 }
 
 // Whether no key of a brick is above the greatest so far.

@@ -10,10 +10,15 @@ fn sink_step(step: Step) -> u32 {
     return select(0u, 1u, over_sink.transmittance > STOP_AT);
 }
 
-fn seen(ray: Ray, lattice: Lattice) -> vec4f {
+// Premultiplied colour and transmittance.
+fn collected(ray: Ray, lattice: Lattice) -> vec4f {
     over_sink = over_identity();
     march(ray, lattice);
-    return over_rgba(over_sink);
+    return vec4f(over_sink.c, over_sink.transmittance);
+}
+
+fn shown(collected: vec4f, lattice: Lattice) -> vec4f {
+    return over_rgba(Over(collected.xyz, collected.w));
 }
 
 // Nothing is beaten by what is in front of it.

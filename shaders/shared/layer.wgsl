@@ -98,6 +98,8 @@ const KEY_LEAST: f32 = 0.005;
 const SLOT_MAX: f32 = 8.0;
 // Greatest optical depth of a segment.
 const TAU_MAX: f32 = 1000.0;
+// Greatest colour that the wire carries.
+const COLOR_MAX: f32 = 1.25;
 // Depth units between near and far.
 const DEPTH_UNITS: f32 = 65535.0;
 // Greatest finite half float.

@@ -53,6 +53,9 @@ struct Scene {
     // that counts voxels are those of the finest level.
     page_grid: vec3u,
     padding_1: u32,
+    // Where the first brick begins, voxel space: below 0 in a process's part of a volume.
+    first_brick: vec3f,
+    padding_2: u32,
 }
 
 // A page and where its texels are (core::kernels::march::field::MarchField).
@@ -157,5 +160,28 @@ const BY_MEAN: u32 = 2;
 const MAX_ISOS: u32 = 8;
 // Bins of a transfer table.
 const TABLE_BINS: u32 = 1024;
+// A ray that meets a process's own part of a volume (core::kernels::part_rays::PartRay).
+struct PartRay {
+    // Its steps in the part.
+    s0: f32,
+    h: f32,
+    first: u32,
+    end: u32,
+    unit: f32,
+    // The column of its pixel, and in the upper half the row.
+    pixel: u32,
+}
+
+// What is gathered along the rays of one dispatch.
+struct PartBudget {
+    // Error limit of a piece.
+    threshold: f32,
+    // Greatest number of pieces of a ray.
+    longest: u32,
+    num_rays: u32,
+    // Items of a ray that there is room for.
+    capacity: u32,
+}
+
 // Voxels along the side of a brick.
 const BRICK: u32 = 8;

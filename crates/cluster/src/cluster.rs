@@ -5,15 +5,15 @@ use std::time::{Duration, Instant};
 
 use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::layering::parts::{
-    AskedFrame, frame_from_words, pieces, steps, threshold, unite, words_from_rows,
+    AskedFrame, OnProcessors, PartMarcher, frame_from_words, threshold, unite, words_from_rows,
 };
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::part_rays::MarchedPart;
 use isinglass_core::kernels::{ROWS_IN_BLOCK, part_pictures, rows_of};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::{Split, VoxelBox};
-use rayon::prelude::*;
 
 use crate::exchange::{ClusterError, Exchange};
 use crate::pages::PageReader;
@@ -24,6 +24,7 @@ pub struct Cluster<'a> {
     split: Split,
     /// Reads the pages of the own part, if the volume is read by pages.
     pub(crate) reader: Option<&'a dyn PageReader>,
+    marcher: Box<dyn PartMarcher + 'a>,
 }
 
 /// Where the time of a frame went in this process.
@@ -48,12 +49,28 @@ pub struct Report {
 impl<'a> Cluster<'a> {
     /// The processes of an exchange, one for each box of `split`.
     pub fn new(exchange: &'a dyn Exchange, split: Split) -> Self {
-        Self { exchange, split, reader: None }
+        Self { exchange, split, marcher: Box::new(OnProcessors), reader: None }
     }
 
     /// The same for a volume that is read by pages.
+    #[must_use]
     pub fn reading(self, reader: Option<&'a dyn PageReader>) -> Self {
         Self { reader, ..self }
+    }
+
+    /// The same with another way to march the own part.
+    #[must_use]
+    pub fn with_marcher(self, marcher: impl PartMarcher + 'a) -> Self {
+        Self { marcher: Box::new(marcher), ..self }
+    }
+
+    /// Where the own part is marched.
+    pub fn description(&self) -> String {
+        self.marcher.description()
+    }
+
+    fn part<'s>(&'s self, scene: &'s Scene) -> MarchedPart<'s> {
+        MarchedPart { scene, split: &self.split, rank: self.rank() }
     }
 
     pub(crate) fn exchange(&self) -> &dyn Exchange {
@@ -132,11 +149,8 @@ impl<'a> Cluster<'a> {
         let rows: Vec<Vec<u32>> = (0..size).map(|owner| rows_of(owner, size, height)).collect();
         let mut words = vec![Vec::new(); size];
         for slice in slices(height, size) {
-            let of_slice = |rows: &Vec<u32>| {
-                let [from, to] = [slice.start, slice.end].map(|row| rows.partition_point(|r| *r < row));
-                pieces(scene, split, rank, &frame, &rows[from..to])
-            };
-            let found: Vec<Vec<u32>> = rows.par_iter().map(of_slice).collect();
+            let of_slice: Vec<&[u32]> = rows.iter().map(|rows| rows_within(rows, &slice)).collect();
+            let found = self.marcher.pieces(&self.part(scene), &frame, &of_slice);
             words.iter_mut().zip(found).for_each(|(words, mut found)| words.append(&mut found));
             let is_wanted = exchange.broadcast(vec![u32::from(wanted())])?;
             if is_wanted != [1] {
@@ -158,7 +172,7 @@ impl<'a> Cluster<'a> {
 
     /// The threshold of a frame, by the steps of its counted rays.
     fn counted_threshold(&self, scene: &Scene, frame: &AskedFrame) -> Result<f32, ClusterError> {
-        let found = self.exchange.gather(steps(scene, &self.split, self.rank(), frame))?;
+        let found = self.exchange.gather(self.marcher.steps(&self.part(scene), frame))?;
         let found = found.map(|lists| threshold(scene, &self.split, frame, &lists)).transpose()?;
         let told = self.exchange.broadcast(vec![found.unwrap_or(0.0).to_bits()])?;
         Ok(told.first().map_or(0.0, |bits| f32::from_bits(*bits)))
@@ -174,11 +188,17 @@ impl<'a> Cluster<'a> {
         view: &View,
         rows: Range<u32>,
     ) -> Result<Option<Picture>, ClusterError> {
-        let words = part_pictures::seen(scene, &self.split, self.rank(), view, rows.clone());
+        let words = self.marcher.seen(&self.part(scene), view, rows.clone());
         let lists = self.exchange.gather(words)?;
         let unite = |lists: Vec<_>| part_pictures::picture_of_parts(scene, &self.split, view, rows, &lists);
         Ok(lists.map(unite).transpose()?)
     }
+}
+
+/// Those of ascending rows that lie in a slice.
+fn rows_within<'r>(rows: &'r [u32], slice: &Range<u32>) -> &'r [u32] {
+    let [from, to] = [slice.start, slice.end].map(|row| rows.partition_point(|r| *r < row));
+    &rows[from..to]
 }
 
 /// The rows of a picture in slices, of which each process owns some.

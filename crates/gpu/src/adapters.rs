@@ -25,12 +25,9 @@ impl Gpu {
                 devices.push(Self::open_adapter(&adapters[at])?);
             }
         }
-        for adapter in &adapters[at + 1..] {
-            let found = info_of(adapter);
-            // Two drivers may offer the same device.
-            let is_open = !found.bus.is_empty() && devices.iter().any(|d| d.info().bus == found.bus);
-            if devices.len() >= most || is_open || !devices[0].info().is_alike(&found) {
-                continue;
+        for adapter in others_alike(&adapters, at) {
+            if devices.len() >= most {
+                break;
             }
             match Self::open_adapter(adapter) {
                 Ok(device) => devices.push(device),
@@ -43,6 +40,23 @@ impl Gpu {
                 Err(GpuError::TooFew { what, found: devices.len(), wanted })
             }
             _ => Ok(devices),
+        }
+    }
+
+    /// Opens one of the best working devices and all others of its kind: each in turn, from 0.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn open_in_turn(turn: usize) -> Result<Self, GpuError> {
+        let adapters = adapters()?;
+        let (at, first) = best(&adapters)?;
+        let others = others_alike(&adapters, at);
+        match turn % (1 + others.len()) {
+            0 => Ok(first),
+            turn => {
+                drop(first);
+                Self::open_adapter(others[turn - 1])
+            }
         }
     }
 
@@ -76,6 +90,21 @@ pub(crate) fn info_of(adapter: &wgpu::Adapter) -> GpuInfo {
         bus: info.device_pci_bus_id,
         is_software: info.device_type == wgpu::DeviceType::Cpu,
     }
+}
+
+/// The adapters behind the one at a place that are other devices of its kind. Each software device is the same.
+fn others_alike(adapters: &[wgpu::Adapter], at: usize) -> Vec<&wgpu::Adapter> {
+    let first = info_of(&adapters[at]);
+    let mut buses = vec![first.bus.clone()];
+    let mut is_another = |adapter: &&wgpu::Adapter| {
+        let found = info_of(adapter);
+        // Two drivers may offer the same device.
+        let is_known = !found.bus.is_empty() && buses.contains(&found.bus);
+        let is_another = !is_known && !found.is_software && first.is_alike(&found);
+        buses.extend(is_another.then_some(found.bus));
+        is_another
+    };
+    adapters[at + 1..].iter().filter(|adapter| is_another(adapter)).collect()
 }
 
 /// The first adapter that opens, and its device.

@@ -58,6 +58,8 @@ pub(crate) struct Layouts {
     pub(crate) picture: wgpu::BindGroupLayout,
     /// Group 1 of `generate`.
     pub(crate) generate: wgpu::BindGroupLayout,
+    /// Group 1 of `gather`.
+    pub(crate) gather: wgpu::BindGroupLayout,
     /// Group 0 of `compact`.
     pub(crate) compact: wgpu::BindGroupLayout,
     /// Group 0 of `raycast`.
@@ -187,6 +189,9 @@ impl Gpu {
             Kernel::Generate(purpose) => {
                 &[Some(&scene_layout(self.device(), purpose)), Some(&layouts.generate)]
             }
+            Kernel::Gather(purpose, _) => {
+                &[Some(&scene_layout(self.device(), purpose)), Some(&layouts.gather)]
+            }
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
             // Owners make their pipelines of vertices and fragments.
@@ -252,6 +257,7 @@ impl Layouts {
         Self {
             picture: layout(device, "picture", compute, &[UNIFORM, UNIFORM, WRITE]),
             generate: layout(device, "generate", compute, &[UNIFORM, UNIFORM, WRITE, WRITE, WRITE]),
+            gather: layout(device, "gather", compute, &[UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE]),
             compact: layout(
                 device,
                 "compact",
@@ -403,7 +409,7 @@ fn pipeline_of_text(
         // Kernels write workgroup memory before they read it.
         compilation_options: wgpu::PipelineCompilationOptions {
             constants,
-            zero_initialize_workgroup_memory: !matches!(entry, "generate" | "count"),
+            zero_initialize_workgroup_memory: !matches!(entry, "generate" | "count" | "gather"),
         },
         cache: None,
     })

@@ -8,10 +8,12 @@ use isinglass_core::clip::Region;
 use isinglass_core::kernels::combine::MAX_FRAMES;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march;
+use isinglass_core::kernels::part_rays;
 use isinglass_core::kernels::raycast::{CastOptions, MARGIN_UNITS};
 use isinglass_core::layer::DEPTH_UNITS;
 use isinglass_core::mode::Compositing;
 use isinglass_core::space::Aabb;
+use isinglass_core::volume::{BRICK, Bricks};
 
 /// See `shaders/shared/types.wgsl`.
 #[repr(C)]
@@ -80,6 +82,8 @@ pub(crate) struct Scene {
     pub(crate) padding_0: u32,
     pub(crate) page_grid: [u32; 3],
     pub(crate) padding_1: u32,
+    pub(crate) first_brick: [f32; 3],
+    pub(crate) padding_2: u32,
 }
 
 /// See `shaders/shared/types.wgsl`.
@@ -108,9 +112,16 @@ impl Scene {
         let lit = scene.illumination.lit();
         let highlight = scene.highlight();
         let (open_ambient, open_diffuse) = highlight.map_or((0.0, 0.0), |h| h.open);
-        let (spacing, voxel_origin) = scene.voxel_space();
+        let (spacing, origin_in_whole) = scene.voxel_space();
         let set = scene.pages.as_ref().map(|pages| &pages.set);
         let dims = set.map_or_else(|| volume.dims(), |set| set.pyramid().dims());
+        // The texels of a part begin with its own first voxel; those of pages are places in the whole.
+        let [first_voxel, first_brick] = match set {
+            Some(_) => [Vec3::ZERO; 2],
+            None => [volume.first(), Bricks::first(volume).map(|i| i * BRICK)]
+                .map(|voxel| Vec3::from_array(voxel.map(|i| i as f32))),
+        };
+        let voxel_origin = origin_in_whole - first_voxel;
         let steepness = if set.is_some() { Vec3::ONE } else { volume.steepness() };
         Self {
             bounds_min: bounds.min.into(),
@@ -137,6 +148,8 @@ impl Scene {
             padding_0: 0,
             page_grid: set.map_or([0; 3], |set| set.grid()),
             padding_1: 0,
+            first_brick: (first_brick - first_voxel).into(),
+            padding_2: 0,
         }
     }
 }
@@ -149,6 +162,36 @@ pub(crate) struct Band {
     pub(crate) num_rows: u32,
     pub(crate) first_pixel: u32,
     pub(crate) num_pixels: u32,
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct PartRay {
+    pub(crate) s0: f32,
+    pub(crate) h: f32,
+    pub(crate) first: u32,
+    pub(crate) end: u32,
+    pub(crate) unit: f32,
+    pub(crate) pixel: u32,
+}
+
+impl From<&part_rays::PartRay> for PartRay {
+    fn from(ray: &part_rays::PartRay) -> Self {
+        let march::Lattice { s0, h, first, n, unit } = ray.lattice;
+        let [x, y] = ray.pixel.map(u32::from);
+        Self { s0, h, first, end: n, unit, pixel: x | y << 16 }
+    }
+}
+
+/// See `shaders/shared/types.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct PartBudget {
+    pub(crate) threshold: f32,
+    pub(crate) longest: u32,
+    pub(crate) num_rays: u32,
+    pub(crate) capacity: u32,
 }
 
 /// See `shaders/shared/types.wgsl`.
@@ -221,5 +264,7 @@ pub(crate) struct Display {
 pub(crate) const BLOCK: u32 = 256;
 /// Side of the square workgroups of most kernels that work on pixels.
 pub(crate) const WORKGROUP_SIDE: u32 = 8;
+/// Rays of a workgroup that gathers along them.
+pub(crate) const RAYS_IN_GROUP: u32 = 32;
 /// Height of the workgroups that cast novel views or make lists: with the side above, they fill one SIMD group.
 pub(crate) const GROUP_HEIGHT: u32 = 4;

@@ -12,6 +12,7 @@ mod error;
 mod gpu_types;
 mod layering;
 mod march;
+mod parts;
 mod pass_clock;
 mod picture_target;
 mod raycast;

@@ -6,14 +6,17 @@ use std::ops::Range;
 use isinglass_core::camera::Camera;
 use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::layering::budget::Budget;
+use isinglass_core::kernels::layering::parts::Gathered;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::part_rays::{PartRay, RayItems};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 
 use crate::device::Gpu;
 use crate::error::GpuError;
 use crate::layering::FrameTarget;
+use crate::parts::GatherTarget;
 use crate::picture_target::PictureTarget;
 use crate::scene::SceneOnGpu;
 use crate::shaders::{Extent, Kernel};
@@ -25,6 +28,7 @@ pub struct GpuRenderer {
     on_gpu: SceneOnGpu,
     picture: PictureTarget,
     frame: Option<FrameTarget>,
+    gathered: Option<GatherTarget>,
     budget: Budget,
 }
 
@@ -33,7 +37,15 @@ impl GpuRenderer {
     pub fn new(gpu: &Gpu, scene: Scene) -> Result<Self, GpuError> {
         let on_gpu = SceneOnGpu::new(gpu, &scene)?;
         let picture = gpu.attempt("making buffers", || Ok(PictureTarget::new(gpu)))?;
-        Ok(Self { gpu: gpu.clone(), scene, on_gpu, picture, frame: None, budget: Budget::default() })
+        Ok(Self {
+            gpu: gpu.clone(),
+            scene,
+            on_gpu,
+            picture,
+            frame: None,
+            gathered: None,
+            budget: Budget::default(),
+        })
     }
 
     /// The scene.
@@ -99,6 +111,18 @@ impl GpuRenderer {
         gpu.attempt("rendering", || {
             let pipeline = gpu.pipeline(Kernel::Render(on_gpu.purpose, extent), "render");
             picture.draw(gpu, &pipeline, &on_gpu.bind_group, view, on_gpu.max_steps)
+        })
+    }
+
+    /// Gathers along rays of a view, for [`isinglass_core::kernels::layering::parts`]. The scene has no pages.
+    ///
+    /// # Errors
+    /// If the device fails, or the view is none.
+    pub fn gather(&mut self, view: &View, rays: &[PartRay], what: Gathered) -> Result<RayItems, GpuError> {
+        let Self { gpu, on_gpu, gathered, .. } = self;
+        gpu.attempt("gathering along rays", || {
+            let target = gathered.get_or_insert_with(|| GatherTarget::new(gpu));
+            target.gather(gpu, on_gpu, view, rays, what)
         })
     }
 

@@ -8,9 +8,10 @@ use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
 use crate::gpu_types::{
-    BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, PageField, Raycaster, Scene, WORKGROUP_SIDE,
+    BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, PageField, PartBudget, PartRay, RAYS_IN_GROUP,
+    Raycaster, Scene, WORKGROUP_SIDE,
 };
-use crate::shaders::{Extent, Frames, Kernel, MarchPurpose, MixedPurpose, Purpose, TexelKind};
+use crate::shaders::{Extent, Frames, GatheredKind, Kernel, MarchPurpose, MixedPurpose, Purpose, TexelKind};
 
 /// A struct as (size, fields); a field as (name, offset, size).
 type Layout = (usize, Vec<(String, usize, usize)>);
@@ -68,8 +69,12 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             steepness,
             padding_0,
             page_grid,
-            padding_1
+            padding_1,
+            first_brick,
+            padding_2
         }),
+        layout!(PartRay { s0, h, first, end, unit, pixel }),
+        layout!(PartBudget { threshold, longest, num_rays, capacity }),
         layout!(PageField {
             scale,
             ambient,
@@ -138,6 +143,8 @@ const PLAIN: MarchPurpose = MarchPurpose {
     mixed: None,
 };
 
+const GATHERED: [GatheredKind; 3] = [GatheredKind::Pieces, GatheredKind::Steps, GatheredKind::Seen];
+
 fn all_kernels() -> Vec<Kernel> {
     let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::Upscale];
     for purpose in all_purposes() {
@@ -151,6 +158,9 @@ fn all_kernels() -> Vec<Kernel> {
                 let extents = [Extent::Opaque, Extent::Through];
                 kernels.extend(extents.map(|extent| Kernel::Render(purpose, extent)));
                 kernels.push(Kernel::Generate(purpose));
+                if !has_pages {
+                    kernels.extend(GATHERED.map(|kind| Kernel::Gather(purpose, kind)));
+                }
             }
         }
         for (num_channels, floats, labels, is_over) in
@@ -159,6 +169,7 @@ fn all_kernels() -> Vec<Kernel> {
             let mixed = Some(MixedPurpose { num_channels, floats, labels, is_over });
             let purpose = MarchPurpose { kind, mixed, has_gaps: is_over, has_pages: floats != 0, ..PLAIN };
             kernels.extend([Kernel::Render(purpose, Extent::Opaque), Kernel::Generate(purpose)]);
+            kernels.extend(GATHERED.map(|kind| Kernel::Gather(purpose, kind)));
         }
     }
     kernels
@@ -220,7 +231,7 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
 }
 
 /// The Rust twins of the parts of the shaders.
-const TWINS: [&str; 25] = [
+const TWINS: [&str; 26] = [
     include_str!("atlas.rs"),
     include_str!("../../core/src/mode.rs"),
     include_str!("../../core/src/space.rs"),
@@ -246,10 +257,14 @@ const TWINS: [&str; 25] = [
     include_str!("../../core/src/kernels/layering/visibility_merge.rs"),
     include_str!("../../core/src/kernels/layering/stream.rs"),
     include_str!("../../core/src/kernels/layering/budget.rs"),
+    include_str!("../../core/src/kernels/layering/parts/forms.rs"),
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 20] = [
+const SHADER_ONLY: [&str; 23] = [
+    "HIDES",
+    "ITEM_WORDS",
+    "RAYS_IN_GROUP",
     "LANES",
     "PIECE_WORDS",
     "IS_MEAN",
@@ -406,6 +421,7 @@ fn workgroups_are_those_that_the_host_dispatches() {
             let expected = match (kernel, entry.stage) {
                 (_, naga::ShaderStage::Vertex | naga::ShaderStage::Fragment) => continue,
                 (Kernel::Compact, _) => [BLOCK, 1, 1],
+                (Kernel::Gather(..), _) => [RAYS_IN_GROUP, 1, 1],
                 _ if entry.name == "choose" => [1, 1, 1],
                 (Kernel::RaycastCompute(_) | Kernel::Generate(..), _) => [WORKGROUP_SIDE, GROUP_HEIGHT, 1],
                 _ => [WORKGROUP_SIDE, WORKGROUP_SIDE, 1],

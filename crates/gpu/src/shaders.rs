@@ -1,5 +1,6 @@
 //! The text of the kernels: plain concatenations of the parts in `shaders/`, in the order stated here.
 
+use isinglass_core::kernels::layering::parts::Gathered;
 use isinglass_core::kernels::raycast::{CastOptions, Reconstruction};
 use isinglass_core::mode::{Compositing, Mode};
 
@@ -97,6 +98,24 @@ pub(crate) struct MixedPurpose {
     pub(crate) is_over: bool,
 }
 
+/// What is gathered along rays: see [`Gathered`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum GatheredKind {
+    Pieces,
+    Steps,
+    Seen,
+}
+
+impl From<Gathered> for GatheredKind {
+    fn from(what: Gathered) -> Self {
+        match what {
+            Gathered::Pieces(_) => Self::Pieces,
+            Gathered::Steps => Self::Steps,
+            Gathered::Seen => Self::Seen,
+        }
+    }
+}
+
 /// A variant of a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kernel {
@@ -105,6 +124,8 @@ pub(crate) enum Kernel {
     /// Entry points `generate`, `count` and `choose`. K is read from a buffer: drivers take seconds to compile a
     /// kernel.
     Generate(MarchPurpose),
+    /// Entry point `gather`: what a process sends about its part of a volume.
+    Gather(MarchPurpose, GatheredKind),
     /// Entry points `sum_blocks`, `scan_blocks`, `compact`.
     Compact,
     /// Entry point `empty_space`.
@@ -134,15 +155,9 @@ impl Kernel {
     pub(crate) fn source(self) -> String {
         let parts: &[&str] = match self {
             Self::Render(purpose, extent) => {
-                let mode = purpose.mode;
-                let crossings = if mode == Mode::Iso { BARE } else { "" };
-                let [extent, seen] = match mode {
-                    Mode::Composite | Mode::Iso => [extent.part(), SEEN_OVER],
-                    Mode::Mip | Mode::MinIp => ["", SEEN_GREATEST],
-                    Mode::Average => ["", SEEN_MEAN],
-                };
-                return [&purpose.text(), crossings, extent, seen, RENDER].concat();
+                return [&purpose.text(), &purpose.seen(extent), RENDER].concat();
             }
+            Self::Gather(purpose, kind) => return [&purpose.text(), PARTS, &purpose.gathered(kind)].concat(),
             Self::Generate(purpose) => {
                 let mode = purpose.mode;
                 let crossings = if mode == Mode::Iso { SURFACES } else { "" };
@@ -197,6 +212,36 @@ impl MarchPurpose {
             Mode::Iso => ["", CROSSINGS],
         };
         [&start[..], &[ONE_CHANNEL, generated, takes]].concat().concat()
+    }
+
+    /// The parts that say what is seen of a ray.
+    fn seen(self, extent: Extent) -> String {
+        let crossings = if self.mode == Mode::Iso { BARE } else { "" };
+        let [extent, seen] = match self.mode {
+            Mode::Composite | Mode::Iso => [extent.part(), SEEN_OVER],
+            Mode::Mip | Mode::MinIp => ["", SEEN_GREATEST],
+            Mode::Average => ["", SEEN_MEAN],
+        };
+        [crossings, extent, seen].concat()
+    }
+
+    /// The parts that make items of what a ray meets.
+    fn gathered(self, kind: GatheredKind) -> String {
+        let mode = self.mode;
+        if kind == GatheredKind::Seen {
+            return [&self.seen(Extent::Opaque), PART_SEEN].concat();
+        }
+        let is_mean = format!("const IS_MEAN: bool = {};\n", mode == Mode::Average);
+        let hides = format!("const HIDES: bool = {};\n", mode == Mode::Composite);
+        let parts: &[&str] = match (kind, mode) {
+            (GatheredKind::Steps, Mode::Iso) => &[&hides, PART_STEPS, PART_RAW_CROSSINGS],
+            (GatheredKind::Steps, _) => &[&hides, PART_STEPS],
+            (_, Mode::Composite) => &[STREAM, VISIBILITY_MERGE, PART_MATTER],
+            (_, Mode::Iso) => &[PART_CROSSINGS],
+            (_, Mode::Mip | Mode::MinIp) => &[&is_mean, STREAM, PROJECTION, PART_GREATEST],
+            (_, Mode::Average) => &[&is_mean, STREAM, PROJECTION, PART_MEAN],
+        };
+        [&[NEVER_BEATEN][..], parts].concat().concat()
     }
 
     /// The kinds of the voxels from the first channel on.
@@ -276,6 +321,8 @@ impl TexelKind {
     }
 }
 
+/// No brick is useless because of what is in front of it.
+const NEVER_BEATEN: &str = "fn is_beaten(brick: u32) -> bool {\n    return false;\n}\n";
 const TYPES: &str = include_str!("../../../shaders/shared/types.wgsl");
 const SPACE: &str = include_str!("../../../shaders/shared/space.wgsl");
 const LAYER: &str = include_str!("../../../shaders/shared/layer.wgsl");
@@ -310,6 +357,14 @@ const RENDER: &str = include_str!("../../../shaders/render.wgsl");
 const GENERATE: &str = include_str!("../../../shaders/layering/generate.wgsl");
 const UNITED_OVER: &str = include_str!("../../../shaders/layering/united_over.wgsl");
 const VISIBILITY_MERGE: &str = include_str!("../../../shaders/layering/visibility_merge.wgsl");
+const PARTS: &str = include_str!("../../../shaders/layering/parts.wgsl");
+const PART_MATTER: &str = include_str!("../../../shaders/layering/parts/matter.wgsl");
+const PART_CROSSINGS: &str = include_str!("../../../shaders/layering/parts/crossings.wgsl");
+const PART_GREATEST: &str = include_str!("../../../shaders/layering/parts/greatest.wgsl");
+const PART_MEAN: &str = include_str!("../../../shaders/layering/parts/mean.wgsl");
+const PART_STEPS: &str = include_str!("../../../shaders/layering/parts/steps.wgsl");
+const PART_RAW_CROSSINGS: &str = include_str!("../../../shaders/layering/parts/raw_crossings.wgsl");
+const PART_SEEN: &str = include_str!("../../../shaders/layering/parts/seen.wgsl");
 const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
 const EMPTY_SPACE: &str = include_str!("../../../shaders/empty_space.wgsl");
 const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build.wgsl");

@@ -28,7 +28,7 @@ use isinglass_formats::{
     LEAST_FOR_PAGES, OpenOptions, OpenedScene, Outline, Region, Selection, finest_numbers, open, open_paged,
     outline, scene_of,
 };
-use isinglass_render::{Backend, Renderer, Workers};
+use isinglass_render::{Backend, PartRenderer, Renderer, Workers};
 use isinglass_server::Pager;
 use serde_json::{Value, json};
 
@@ -133,7 +133,7 @@ impl Together {
         seen: &Seen,
         volume: (&VolumeArgs, &MemoryArgs),
         look: &LookArgs,
-        (lighting, lists): (Lighting, &ListArgs),
+        (lighting, lists, backend): (Lighting, &ListArgs, &BackendArgs),
         serve: impl FnOnce(Arc<Volume>, Look, Backend, Option<Pager>) -> Result<()> + Send,
     ) -> Result<()> {
         let (Opened { scene, split, .. }, look) = self.open(seen, volume, look, lighting, lists)?;
@@ -141,12 +141,13 @@ impl Together {
         let pager = agree(&*self.exchange, Pager::of(scene.whole()).map_err(|e| e.to_string()))?;
         let reader = pager.clone().map(OwnPages);
         let reader = reader.as_ref().map(|reader| reader as &dyn PageReader);
-        let cluster = Cluster::new(&*self.exchange, split).reading(reader);
+        let cluster = self.cluster(split, backend)?.reading(reader);
+        let devices = self.devices(&cluster)?;
         if !self.is_root() {
             return Ok(cluster.help(&scene)?);
         }
         let (orders, queue) = orders();
-        let workers = SeveralProcesses { orders: orders.clone(), num: self.exchange.size() };
+        let workers = SeveralProcesses { orders: orders.clone(), devices: description(&devices) };
         let volume = scene.whole().clone();
         drop(scene);
         std::thread::scope(|scope| {
@@ -241,8 +242,24 @@ impl Together {
         Ok((paging.into_iter().fold(volume, Volume::with_paging), split))
     }
 
+    /// All processes with their parts. Each marches its own where the backend says, and those of one machine take its
+    /// GPUs in turn.
+    fn cluster(&self, split: Split, backend: &BackendArgs) -> Result<Cluster<'_>, ClusterError> {
+        let marcher = PartRenderer::open(backend.backend, local_rank(self.exchange.rank()));
+        let marcher = agree(&*self.exchange, marcher.map_err(|e| e.to_string()))?;
+        Ok(Cluster::new(&*self.exchange, split).with_marcher(marcher))
+    }
+
+    /// Where each process marches its part.
+    fn devices(&self, cluster: &Cluster<'_>) -> Result<Vec<String>, ClusterError> {
+        let words: Vec<u32> = cluster.description().chars().map(u32::from).collect();
+        let text = |words: &Vec<u32>| words.iter().filter_map(|&word| char::from_u32(word)).collect();
+        Ok(self.exchange.all_gather(&words)?.iter().map(text).collect())
+    }
+
     /// The reports of all processes, in process 0.
-    fn reports(&self, own: &Report) -> Result<Vec<Value>> {
+    fn reports(&self, cluster: &Cluster<'_>, own: &Report) -> Result<Vec<Value>> {
+        let devices = self.devices(cluster)?;
         let ms = |time: std::time::Duration| (time.as_secs_f64() * 1e3) as f32;
         let times = [own.counting, own.march, own.exchange, own.merge, own.gather].map(ms).map(f32::to_bits);
         let mut words = times.to_vec();
@@ -250,12 +267,13 @@ impl Together {
         let all = self.exchange.gather(words).map_err(ClusterError::from)?.unwrap_or_default();
         Ok(all
             .iter()
-            .filter_map(|words| <[u32; 7]>::try_from(words.as_slice()).ok())
-            .map(|words| {
+            .zip(devices)
+            .filter_map(|(words, device)| Some((<[u32; 7]>::try_from(words.as_slice()).ok()?, device)))
+            .map(|(words, device)| {
                 let ms = |i: usize| f32::from_bits(words[i]);
                 let bytes = u64::from(words[5]) | u64::from(words[6]) << 32;
                 json!({
-                    "counting_ms": ms(0), "march_ms": ms(1), "exchange_ms": ms(2), "merge_ms": ms(3),
+                    "backend": device, "counting_ms": ms(0), "march_ms": ms(1), "exchange_ms": ms(2), "merge_ms": ms(3),
                     "gather_ms": ms(4), "bytes_sent": bytes,
                 })
             })
@@ -291,7 +309,7 @@ impl PageReader for OwnPages {
 /// The processes as a server sees them.
 struct SeveralProcesses {
     orders: Orders,
-    num: usize,
+    devices: String,
 }
 
 impl Workers for SeveralProcesses {
@@ -304,14 +322,34 @@ impl Workers for SeveralProcesses {
     }
 
     fn description(&self) -> String {
-        description(self.num)
+        self.devices.clone()
     }
 }
 
-/// Where the kernels of so many processes run.
-fn description(num: usize) -> String {
-    format!("cpu of {num} processes")
+/// Where the kernels of several processes run, such as `gpu of 3 and cpu of 1 processes`.
+fn description(devices: &[String]) -> String {
+    let num = devices.len();
+    match devices.iter().filter(|device| device.starts_with("gpu")).count() {
+        0 => format!("cpu of {num} processes"),
+        gpus if gpus == num => format!("gpu of {num} processes"),
+        gpus => format!("gpu of {gpus} and cpu of {} processes", num - gpus),
+    }
 }
+
+/// The number of a process among those of its machine, as its starter tells it; or else the one among all.
+fn local_rank(rank: usize) -> usize {
+    let told = LOCAL_RANKS.iter().find_map(|name| std::env::var(name).ok()?.parse().ok());
+    told.unwrap_or(rank)
+}
+
+/// Where Open MPI, Slurm, MPICH with Hydra, MVAPICH and Cray's PALS tell it.
+const LOCAL_RANKS: [&str; 5] = [
+    "OMPI_COMM_WORLD_LOCAL_RANK",
+    "SLURM_LOCALID",
+    "MPI_LOCALRANKID",
+    "MV2_COMM_WORLD_LOCAL_RANK",
+    "PALS_LOCAL_RANKID",
+];
 
 /// Ends the work of all processes when the server has ended, even by a panic.
 struct EndOnDrop(Orders);
@@ -346,21 +384,31 @@ pub(crate) fn open_for(
     Ok((Opened { scene, split: None, transfer: transfer.name }, look))
 }
 
+/// The own part of a volume, ready to be drawn with the others.
+pub(crate) struct Part<'a> {
+    scene: Scene,
+    cluster: Cluster<'a>,
+    pages: Pages,
+    /// Where kernels run.
+    devices: String,
+}
+
 /// Makes frames and pictures, alone or with the other processes.
 pub(crate) enum Drawer<'a> {
     Alone(Box<Renderer>, Backend, Pages),
-    Together(&'a Together, Box<Scene>, Cluster<'a>, Pages),
+    Together(&'a Together, Box<Part<'a>>),
 }
 
 impl<'a> Drawer<'a> {
-    /// Of what was opened. Alone, kernels run where `backend` says; parts of a volume are marched on the CPU.
+    /// Of what was opened. Kernels run where `backend` says.
     pub(crate) fn new(opened: Opened, together: Option<&'a Together>, backend: &BackendArgs) -> Result<Self> {
         Ok(match (together, opened.split) {
             (Some(together), Some(split)) => {
-                let cluster = Cluster::new(&*together.exchange, split);
+                let cluster = together.cluster(split, backend)?;
+                let devices = description(&together.devices(&cluster)?);
                 let scene = cluster.ready(opened.scene)?;
                 let pages = Pages::of(&scene)?;
-                Self::Together(together, Box::new(scene), cluster, pages)
+                Self::Together(together, Box::new(Part { scene, cluster, pages, devices }))
             }
             _ => {
                 let pages = Pages::of(&opened.scene)?;
@@ -374,7 +422,7 @@ impl<'a> Drawer<'a> {
     pub(crate) fn description(&self) -> String {
         match self {
             Self::Alone(_, backend, _) => backend.description(),
-            Self::Together(together, ..) => description(together.exchange.size()),
+            Self::Together(_, part) => part.devices.clone(),
         }
     }
 
@@ -391,10 +439,11 @@ impl<'a> Drawer<'a> {
     pub(crate) fn show(&mut self, camera: &Camera) -> Result<()> {
         match self {
             Self::Alone(renderer, _, pages) => pages.show(renderer, camera),
-            Self::Together(together, scene, cluster, pages) => {
-                let Some(own) = pages.settled(&scene.without_pages(), camera) else { return Ok(()) };
-                **scene = scene.with_pages(own.set, None);
-                let progress = cluster.progress_of_all(own.part)?;
+            Self::Together(together, part) => {
+                let own = part.pages.settled(&part.scene.without_pages(), camera);
+                let Some(own) = own else { return Ok(()) };
+                part.scene = part.scene.with_pages(own.set, None);
+                let progress = part.cluster.progress_of_all(own.part)?;
                 check(&progress, together.is_root())
             }
         }
@@ -404,9 +453,9 @@ impl<'a> Drawer<'a> {
     pub(crate) fn generate(&mut self, header: FrameHeader) -> Result<Option<(LayeredFrame, Vec<Value>)>> {
         match self {
             Self::Alone(renderer, ..) => Ok(Some((renderer.generate(header)?, Vec::new()))),
-            Self::Together(together, scene, cluster, _) => {
-                let (frame, report) = cluster.generate(scene, header)?;
-                let reports = together.reports(&report)?;
+            Self::Together(together, part) => {
+                let (frame, report) = part.cluster.generate(&part.scene, header)?;
+                let reports = together.reports(&part.cluster, &report)?;
                 Ok(frame.map(|frame| (frame, reports)))
             }
         }
@@ -416,10 +465,10 @@ impl<'a> Drawer<'a> {
     pub(crate) fn render_mean(&mut self, views: &[View]) -> Result<Picture> {
         match self {
             Self::Alone(renderer, ..) => Ok(renderer.render_mean(views)?),
-            Self::Together(_, scene, cluster, _) => {
+            Self::Together(_, part) => {
                 let nothing = |view: &View| Picture::new(view.basis.width as u32, view.basis.height as u32);
                 let pictures = views.iter().map(|view| {
-                    let made = cluster.picture(scene, view, 0..view.basis.height as u32);
+                    let made = part.cluster.picture(&part.scene, view, 0..view.basis.height as u32);
                     made.map(|made| made.unwrap_or_else(|| nothing(view)))
                 });
                 mean_picture(pictures)?.ok_or_else(|| anyhow!("there is no view"))

@@ -106,6 +106,35 @@ fn one_to_four_processes_show_what_one_shows() {
 }
 
 #[test]
+fn each_process_marches_its_part_on_a_gpu() {
+    let bench = Bench::new();
+    let Some(_) = mpirun() else { return };
+    const LOOK: &str = "builtin:shells@48 --size 96x72";
+    bench.ok(&format!("render {LOOK} -o truth.png --backend cpu"));
+    for (backend, of_all) in [("gpu", "gpu of 3 processes"), ("cpu", "cpu of 3 processes")] {
+        let words = format!("layers {LOOK} -o all.iglf --json --distributed --backend {backend}");
+        let output = run(&bench, 3, &words).expect("mpirun is there");
+        let text = String::from_utf8_lossy(&output.stderr);
+        if text.contains("no usable GPU") {
+            assert!(std::env::var_os("ISINGLASS_STRICT").is_none_or(|v| v != "1"), "no device");
+            eprintln!("skipped: no device");
+            continue;
+        }
+        assert!(output.status.success(), "{text}");
+        let told: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON of the frame");
+        assert_eq!(told["backend"], of_all);
+        let ranks = told["ranks"].as_array().expect("a report of each");
+        let is_there =
+            |rank: &serde_json::Value| rank["backend"].as_str().is_some_and(|b| b.starts_with(backend));
+        assert!(ranks.len() == 3 && ranks.iter().all(is_there), "{told}");
+        bench.ok("reproject all.iglf -o seen.png --backend cpu");
+        let off = bench.json("compare truth.png seen.png --json")["max_abs_255"].as_u64();
+        // Rounding of the codec comes on top.
+        assert!(off.is_some_and(|off| off <= 2), "{backend}: {off:?}/255");
+    }
+}
+
+#[test]
 fn an_error_of_one_is_one_line_and_ends_all() {
     let bench = Bench::new();
     let Some(mut command) = mpirun() else { return };

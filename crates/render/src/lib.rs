@@ -4,6 +4,7 @@
 //! `isinglass-gpu`, their twins in `isinglass-core`.
 
 mod devices;
+mod parts;
 
 use std::ops::Range;
 use std::str::FromStr;
@@ -24,6 +25,7 @@ use isinglass_core::space::Aabb;
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
 
 pub use devices::{Devices, GpuCount};
+pub use parts::PartRenderer;
 
 /// The user's choice of a backend.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -97,10 +99,18 @@ pub enum Backend {
 impl Backend {
     /// Opens the chosen backend. `Auto` and `Cpu` cannot fail.
     pub fn open(choice: BackendChoice) -> Result<Self, GpuError> {
+        Self::open_by(choice, Gpu::open)
+    }
+
+    /// The same with another way to open a GPU.
+    fn open_by(
+        choice: BackendChoice,
+        open: impl FnOnce() -> Result<Gpu, GpuError>,
+    ) -> Result<Self, GpuError> {
         match choice {
             BackendChoice::Cpu => Ok(Self::Cpu),
-            BackendChoice::Gpu => Gpu::open().map(Self::Gpu),
-            BackendChoice::Auto => match Gpu::open() {
+            BackendChoice::Gpu => open().map(Self::Gpu),
+            BackendChoice::Auto => match open() {
                 Ok(gpu) if !gpu.info().is_software => Ok(Self::Gpu(gpu)),
                 Ok(gpu) => {
                     tracing::info!(

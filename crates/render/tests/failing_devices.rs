@@ -5,12 +5,16 @@ use std::sync::Arc;
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::kernels::layering;
+use isinglass_core::kernels::layering::parts::{AskedFrame, OnProcessors, PartMarcher};
+use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
+use isinglass_core::kernels::part_rays::MarchedPart;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::volume::{GHOSTS, Split, Volume};
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
-use isinglass_render::{Backend, BackendChoice, Devices, GpuCount};
+use isinglass_render::{Backend, BackendChoice, Devices, GpuCount, PartRenderer};
 
 #[test]
 #[cfg(target_os = "linux")]
@@ -30,13 +34,7 @@ fn without_a_driver_auto_is_the_cpu() {
     assert!(status.unwrap().success());
 }
 
-#[test]
-fn a_lost_device_is_an_error() {
-    let Ok(gpu) = Gpu::open() else {
-        assert!(std::env::var_os("ISINGLASS_STRICT").is_none_or(|v| v != "1"), "no device");
-        eprintln!("skipped: no device");
-        return;
-    };
+fn scene(volume: Volume) -> Scene {
     let point = ControlPoint { x: 0.0, color: [1.0; 3], opacity: 0.1 };
     let transfer = TransferFunction {
         name: "flat".into(),
@@ -44,10 +42,57 @@ fn a_lost_device_is_an_error() {
         unit_length: UnitLength::Voxel,
         points: vec![point],
     };
-    let scene = Scene::new(Arc::new(Builtin::Cloud.volume(16)), &transfer, Default::default());
-    let bounds = scene.volume.bounds();
+    Scene::new(Arc::new(volume), &transfer, Default::default())
+}
+
+fn camera() -> Camera {
     let intrinsics = Intrinsics::perspective(32, 32, 0.7);
-    let camera = Camera::new(Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0), intrinsics, &bounds);
+    let pose = Pose::orbit(Vec3::ZERO, 0.3, 0.2, 4.0);
+    Camera::new(pose, intrinsics, &Builtin::Cloud.volume(16).bounds())
+}
+
+#[test]
+fn a_part_on_a_lost_device_is_marched_on_the_cpu() {
+    let Ok(gpu) = Gpu::open_in_turn(5) else {
+        assert!(std::env::var_os("ISINGLASS_STRICT").is_none_or(|v| v != "1"), "no device");
+        eprintln!("skipped: no device");
+        return;
+    };
+    let volume = Builtin::Cloud.volume(32);
+    let split = Split::evenly([32; 3], 2).unwrap();
+    let scene = scene(volume.part(&split.held(1, GHOSTS)).unwrap());
+    let part = MarchedPart { scene: &scene, split: &split, rank: 1 };
+    let frame = AskedFrame::new(&scene, FrameHeader::alone(camera(), 4), 0.1);
+    let rows: Vec<u32> = (0..32).collect();
+    let view = View::from(&camera());
+    let words = |marcher: &dyn PartMarcher| {
+        let pieces = marcher.pieces(&part, &frame, &[&rows]);
+        (pieces, marcher.steps(&part, &frame), marcher.seen(&part, &view, 0..32))
+    };
+    let marcher = PartRenderer::on(&Backend::Gpu(gpu.clone()));
+    let (of_cpu, before) = (words(&OnProcessors), words(&marcher));
+    assert!(marcher.description().starts_with("gpu: "), "{}", marcher.description());
+    // The control: another device rounds otherwise.
+    assert_ne!(before, of_cpu);
+    gpu.device().destroy();
+    assert_eq!(words(&marcher), of_cpu, "to the bit");
+    assert_eq!(marcher.description(), "cpu");
+    // A device in software is nobody's choice but the user's.
+    let chosen = PartRenderer::open(BackendChoice::Auto, 3).unwrap().description();
+    assert_eq!(chosen.starts_with("gpu"), !gpu.info().is_software, "{chosen}");
+    assert!(PartRenderer::open(BackendChoice::Gpu, 3).unwrap().description().starts_with("gpu"));
+    assert_eq!(PartRenderer::open(BackendChoice::Cpu, 3).unwrap().description(), "cpu");
+}
+
+#[test]
+fn a_lost_device_is_an_error() {
+    let Ok(gpu) = Gpu::open() else {
+        assert!(std::env::var_os("ISINGLASS_STRICT").is_none_or(|v| v != "1"), "no device");
+        eprintln!("skipped: no device");
+        return;
+    };
+    let (scene, camera) = (scene(Builtin::Cloud.volume(16)), camera());
+    let bounds = scene.volume.bounds();
     let header = FrameHeader::alone(camera, 4);
     let frame = layering::generate(&scene, header);
     let mut renderer = GpuRenderer::new(&gpu, scene.clone()).unwrap();

@@ -7,6 +7,7 @@ pub mod layering;
 pub mod lens;
 pub mod march;
 pub mod part_pictures;
+pub mod part_rays;
 mod part_rows;
 pub use part_rows::{PartsError, ROWS_IN_BLOCK, rows_of};
 pub mod raycast;

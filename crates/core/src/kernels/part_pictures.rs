@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::lens::View;
 use super::march::{Lattice, Marcher, Scene, TRANSMITTANCE_MIN, Texels, with_texels};
+use super::part_rays::own_steps;
 use super::part_rows::{self, PartsError};
 use crate::picture::Picture;
 use crate::space::Ray;
@@ -34,14 +35,7 @@ fn seen_with<T: Texels>(
     let rows: Vec<u32> = rows.collect();
     part_rows::write(&rows, view.basis.width as u32, |x, y, words| {
         let Some((ray, lattice)) = ray_of(scene, view, x, y) else { return 0 };
-        let mut own = None;
-        split.runs(&marcher.point_line(&ray, lattice), 0..lattice.n, &mut |of, steps| {
-            if of == rank {
-                own = Some(steps);
-            }
-        });
-        let Some(own) = own else { return 0 };
-        let part = Lattice { first: own.start, n: own.end, ..lattice };
+        let Some(part) = own_steps(marcher, (split, rank), &ray, lattice) else { return 0 };
         words.extend(marcher.seen_in(&ray, part, TRANSMITTANCE_MIN).map(f32::to_bits));
         1
     })
@@ -89,4 +83,4 @@ fn unite_with<T: Texels>(
 }
 
 /// Words of what is seen along a ray.
-const WORDS: usize = 4;
+pub(super) const WORDS: usize = 4;

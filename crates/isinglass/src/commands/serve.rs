@@ -113,7 +113,7 @@ fn serve_alone(args: &ServeArgs, given: Given) -> Result<()> {
 /// Serves a volume whose parts several processes hold. Viewers cannot choose another part of the file.
 fn serve_together(args: &ServeArgs, given: Given, together: &Together) -> Result<()> {
     let seen = args.state.read(given)?;
-    let light = (args.light.lighting(), &args.lists);
+    let light = (args.light.lighting(), &args.lists, &args.backend);
     together.serve(&seen, (&args.volume, &args.memory), &args.look, light, |volume, look, backend, pager| {
         serve(args, &seen, (volume, look), backend.into(), None, pager)
     })

@@ -9,10 +9,12 @@
 //! Crossings of surfaces are sent bare: the owner gives them thickness, for which it needs the next crossing. The
 //! threshold comes from the steps of the counted rays ([`steps`]), which are sent whole.
 
+mod devices;
 mod forms;
 
 use rayon::prelude::*;
 
+pub use self::devices::{Gathered, OnProcessors, PartMarcher, pieces_by, seen_by, steps_by};
 use self::forms::{CrossingForm, Form, GreatestForm, MatterForm, MeanForm, RawStep};
 use super::budget::{self, longest_list};
 use super::pieces::join_rows;
@@ -21,6 +23,7 @@ use super::visibility_merge::Counter;
 use super::{Listing, SegmentList, clamp_k, close};
 use crate::camera::Basis;
 use crate::kernels::march::{Lattice, Marcher, Scene, Sink, Step, Texels, with_texels};
+use crate::kernels::part_rays::own_steps;
 use crate::kernels::part_rows::{self, MAX_ITEMS, PartsError, RowItems};
 use crate::layer::{FrameHeader, LayeredFrame};
 use crate::mode::Mode;
@@ -114,16 +117,10 @@ impl<T: Texels> OwnPart<'_, T> {
     ) -> usize {
         let near = frame.header.camera.near;
         let Some(mut of) = Listing::new(self.scene, self.marcher, basis, near, pixel) else { return 0 };
-        let line = self.marcher.point_line(&of.ray, of.lattice);
         let whole = of.lattice;
-        let mut own = None;
-        self.split.runs(&line, 0..whole.n, &mut |rank, steps| {
-            if rank == self.rank {
-                own = Some(steps);
-            }
-        });
+        let own = own_steps(self.marcher, (self.split, self.rank), &of.ray, whole);
         let Some(own) = own else { return 0 };
-        of.lattice = Lattice { first: own.start, n: own.end, ..whole };
+        of.lattice = own;
         let before = words.len();
         gather(&of, &whole, words);
         words.truncate(before + MAX_ITEMS * words_per_item);
