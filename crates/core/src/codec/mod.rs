@@ -19,6 +19,7 @@
 //! | `chunk` | the chunks of a frame |
 //! | `exact/` | the exact coding |
 //! | `blocks/` | the coding in blocks |
+//! | `shares` | frames that several processes encode together |
 
 mod bands;
 pub mod blocks;
@@ -28,6 +29,7 @@ mod exact;
 mod header;
 mod limits;
 mod portable_math;
+mod shares;
 
 use std::sync::Arc;
 
@@ -39,6 +41,7 @@ use blocks::{Reference, References};
 pub use chunk::{Chunk, EncodedFrame};
 pub use error::CodecError;
 pub use header::{ChunkHeader, HEADER_BYTES, TILE, peek};
+pub use shares::{CodedBand, FrameBands};
 pub use limits::{MAX_CHUNK_BYTES, MAX_CHUNK_SEGMENTS, MAX_CHUNKS, MAX_FRAME_LISTS, MAX_FRAME_SEGMENTS};
 
 /// How a frame is coded.

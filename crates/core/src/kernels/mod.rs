@@ -8,5 +8,6 @@ pub mod lens;
 pub mod march;
 pub mod part_pictures;
 mod part_rows;
+pub mod part_slices;
 pub use part_rows::{PartsError, ROWS_IN_BLOCK, rows_of};
 pub mod raycast;
