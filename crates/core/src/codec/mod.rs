@@ -41,8 +41,8 @@ use blocks::{Reference, References};
 pub use chunk::{Chunk, EncodedFrame};
 pub use error::CodecError;
 pub use header::{ChunkHeader, HEADER_BYTES, TILE, peek};
-pub use shares::{CodedBand, FrameBands};
 pub use limits::{MAX_CHUNK_BYTES, MAX_CHUNK_SEGMENTS, MAX_CHUNKS, MAX_FRAME_LISTS, MAX_FRAME_SEGMENTS};
+pub use shares::{CodedBand, FrameBands};
 
 /// How a frame is coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -122,10 +122,7 @@ impl<'a> FrameBands<'a> {
     ///
     /// # Errors
     /// If a band is missing, damaged or too large.
-    pub fn join(
-        &self,
-        bands: Vec<CodedBand>,
-    ) -> Result<(EncodedFrame, Option<Arc<Reference>>), CodecError> {
+    pub fn join(&self, bands: Vec<CodedBand>) -> Result<(EncodedFrame, Option<Arc<Reference>>), CodecError> {
         if bands.len() != self.num() {
             return Err(CodecError::Incomplete { found: bands.len(), expected: self.num() });
         }

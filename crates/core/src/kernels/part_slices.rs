@@ -101,12 +101,13 @@ mod tests {
             row: [-0.1 * step, 0.4 * step, 0.9 * step],
             size: [45, 37],
         };
-        let planes = [(0, 17), (1, 8), (2, 16), (2, 25)].map(|(axis, index)| SlicePlane::Axis { axis, index });
+        let planes =
+            [(0, 17), (1, 8), (2, 16), (2, 25)].map(|(axis, index)| SlicePlane::Axis { axis, index });
         let modes = [SlabMode::Mean, SlabMode::Max, SlabMode::Min];
         let of_plane = |plane| {
-            modes.into_iter().flat_map(move |mode| {
-                [0.0, 9.3 * step].map(|thickness| SliceSpec { plane, thickness, mode })
-            })
+            modes
+                .into_iter()
+                .flat_map(move |mode| [0.0, 9.3 * step].map(|thickness| SliceSpec { plane, thickness, mode }))
         };
         planes.into_iter().chain([oblique]).flat_map(of_plane).collect()
     }
@@ -114,7 +115,8 @@ mod tests {
     #[test]
     fn slices_and_values_of_all_parts_are_those_of_the_whole_to_the_bit() {
         let volumes = [volume(0), volume(1), volume(2), level(0), level(2)];
-        for (volume, layers) in volumes.iter().flat_map(|v| [[2, 1, 1], [3, 2, 2]].map(|layers| (v, layers))) {
+        for (volume, layers) in volumes.iter().flat_map(|v| [[2, 1, 1], [3, 2, 2]].map(|layers| (v, layers)))
+        {
             let split = Split::grid(volume.dims(), layers).unwrap();
             let held = |rank| volume.part(&split.held(rank, GHOSTS)).unwrap();
             let parts: Vec<Volume> = (0..split.boxes().len()).map(held).collect();
@@ -135,7 +137,8 @@ mod tests {
                 }
             }
             let bounds = volume.bounds();
-            let points = (0..90).map(|i| bounds.min * 1.02 + (bounds.max - bounds.min) * 1.04 * (i as f32 / 89.0));
+            let points =
+                (0..90).map(|i| bounds.min * 1.02 + (bounds.max - bounds.min) * 1.04 * (i as f32 / 89.0));
             let points: Vec<Vec3> = points.collect();
             let ask = |values: &mut dyn ValuesAt| -> Vec<_> {
                 points.iter().map(|p| (values.voxel(*p), values.between(*p))).collect()

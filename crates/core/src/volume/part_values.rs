@@ -80,9 +80,7 @@ impl AskedPoints {
         let mut find = |AskedPoint { point, is_between }: &AskedPoint| {
             let point = Vec3::from_array(*point);
             match is_between {
-                true => {
-                    values.between(point).map(|value| FoundPoint { index: [0; 3], value, level: 0 })
-                }
+                true => values.between(point).map(|value| FoundPoint { index: [0; 3], value, level: 0 }),
                 false => {
                     let found = values.voxel(point);
                     found.map(|FoundVoxel { index, value, level }| FoundPoint { index, value, level })

@@ -6,7 +6,8 @@ use rayon::prelude::*;
 
 use super::grid::{Volume, Voxels};
 use super::slice::{
-    MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceCoding, SliceGrid, SlicePlane, SliceSpec, across};
+    MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceCoding, SliceGrid, SlicePlane, SliceSpec, across,
+};
 use super::world::VoxelBox;
 use crate::cancel::Wanted;
 
@@ -230,12 +231,7 @@ impl SlabAdder {
 
 /// The stored number between voxel centres; beyond the outermost centres that of the nearest. None outside the volume,
 /// and where the first voxel is not in the box `own` or a part of a volume has no voxels.
-fn trilinear<T: Copy + Into<f64>>(
-    volume: &Volume,
-    voxels: &[T],
-    own: &VoxelBox,
-    point: Vec3,
-) -> Option<f64> {
+fn trilinear<T: Copy + Into<f64>>(volume: &Volume, voxels: &[T], own: &VoxelBox, point: Vec3) -> Option<f64> {
     let (dims, spacing, bounds) = (volume.dims(), volume.spacing(), volume.bounds());
     // A point on a face may be rounded to the outside.
     let slack = spacing * 1e-3;

@@ -17,8 +17,8 @@ fn with_rows(frame: &LayeredFrame, rows: Vec<u32>) -> LayeredFrame {
     frame_from_words(frame.header, &[rows], &[words]).unwrap()
 }
 
-/// What each of `num` processes has of a coded frame, where each has the references `before`. Without notes, the bands
-/// of others are as they come from a link.
+/// What each of `num` processes has of a coded frame, where each has the references `before`. Without notes, the
+/// references are as a viewer has them.
 fn coded(
     frame: &LayeredFrame,
     coding: &Coding,
@@ -43,11 +43,11 @@ fn coded(
         })
         .collect();
     let of_rank = |rank: usize| {
-        let bands = bands.iter().enumerate().map(|(i, band)| match coder(i) == rank {
-            true => band.clone(),
-            false => {
-                let notes = if has_notes { band.notes.clone() } else { Vec::new() };
-                CodedBand::of_other(band.payload.clone(), notes)
+        let bands = bands.iter().enumerate().map(|(i, band)| {
+            let notes = if has_notes { band.notes.clone() } else { Vec::new() };
+            match coder(i) == rank {
+                true => CodedBand { notes, ..band.clone() },
+                false => CodedBand::of_other(band.payload.clone(), notes),
             }
         });
         plans[rank].join(bands.collect()).unwrap()
