@@ -31,14 +31,14 @@ impl Coding {
 /// The bands of a frame, as all processes find them.
 #[derive(Clone, Copy)]
 pub struct FrameBands<'a> {
-    plan: Plan<'a>,
+    plan: BandsPlan<'a>,
     reference: Option<&'a Reference>,
 }
 
 #[derive(Clone, Copy)]
-enum Plan<'a> {
-    Exact(exact::FramePlan),
-    Blocks(blocks::FramePlan<'a>),
+enum BandsPlan<'a> {
+    Exact(exact::ExactPlan),
+    Blocks(blocks::BlocksPlan<'a>),
 }
 
 /// A coded band of a frame.
@@ -71,12 +71,12 @@ impl<'a> FrameBands<'a> {
         work: &[usize],
     ) -> Result<Self, CodecError> {
         let plan = match coding {
-            Coding::Exact => Plan::Exact(exact::FramePlan::new(frame, work)?),
+            Coding::Exact => BandsPlan::Exact(exact::ExactPlan::new(frame, work)?),
             Coding::Blocks(_) if frame.mode.is_projection() => {
                 return Err(CodecError::Projection(frame.mode));
             }
             Coding::Blocks(settings) => {
-                Plan::Blocks(blocks::FramePlan::new(frame, settings, reference, work)?)
+                BandsPlan::Blocks(blocks::BlocksPlan::new(frame, settings, reference, work)?)
             }
         };
         Ok(Self { plan, reference })
@@ -85,16 +85,16 @@ impl<'a> FrameBands<'a> {
     /// Number of bands.
     pub fn num(&self) -> usize {
         match &self.plan {
-            Plan::Exact(plan) => plan.num_bands(),
-            Plan::Blocks(plan) => plan.num_bands(),
+            BandsPlan::Exact(plan) => plan.num_bands(),
+            BandsPlan::Blocks(plan) => plan.num_bands(),
         }
     }
 
     /// The rows of lists of a band.
     pub fn rows(&self, band: usize) -> Range<usize> {
         match &self.plan {
-            Plan::Exact(plan) => plan.rows(band),
-            Plan::Blocks(plan) => plan.rows(band),
+            BandsPlan::Exact(plan) => plan.rows(band),
+            BandsPlan::Blocks(plan) => plan.rows(band),
         }
     }
 
@@ -109,8 +109,8 @@ impl<'a> FrameBands<'a> {
         wanted: Wanted<'_>,
     ) -> Result<CodedBand, CodecError> {
         Ok(match &self.plan {
-            Plan::Exact(plan) => CodedBand::of_other(plan.encode(frame, band, wanted)?, Vec::new()),
-            Plan::Blocks(plan) => {
+            BandsPlan::Exact(plan) => CodedBand::of_other(plan.encode(frame, band, wanted)?, Vec::new()),
+            BandsPlan::Blocks(plan) => {
                 let blocks::EncodedBand { payload, decoded, notes } = plan.encode(frame, band, wanted)?;
                 CodedBand { payload, notes, decoded: Some(decoded) }
             }
@@ -133,8 +133,8 @@ impl<'a> FrameBands<'a> {
             decoded.push(band.decoded);
         }
         let plan = match &self.plan {
-            Plan::Exact(plan) => return Ok((plan.encoded(payloads)?, None)),
-            Plan::Blocks(plan) => plan,
+            BandsPlan::Exact(plan) => return Ok((plan.encoded(payloads)?, None)),
+            BandsPlan::Blocks(plan) => plan,
         };
         let encoded = plan.encoded(payloads)?;
         let all = decoded.into_par_iter().zip(&encoded.chunks).map(|(decoded, chunk)| match decoded {

@@ -47,7 +47,7 @@ pub(in crate::codec) fn encode_while(
     reference: Option<&Reference>,
     wanted: Wanted<'_>,
 ) -> Result<(EncodedFrame, Reference), CodecError> {
-    let plan = FramePlan::new(frame.header, settings, reference, &bands::work_of_rows(frame))?;
+    let plan = BlocksPlan::new(frame.header, settings, reference, &bands::work_of_rows(frame))?;
     // Bands are ordered from both ends. So a thread with two neighbours in this order has one from the border and one
     // from the middle, and wrong estimates of their time even out.
     let num = plan.num_bands();
@@ -69,7 +69,7 @@ pub(in crate::codec) fn encode_while(
 
 /// What all bands of a frame share.
 #[derive(Clone, Copy)]
-pub(in crate::codec) struct FramePlan<'a> {
+pub(in crate::codec) struct BlocksPlan<'a> {
     header: FrameHeader,
     head: Head,
     num_bands: u8,
@@ -86,7 +86,7 @@ pub(in crate::codec) struct EncodedBand {
     pub(in crate::codec) notes: Notes,
 }
 
-impl<'a> FramePlan<'a> {
+impl<'a> BlocksPlan<'a> {
     /// Cuts a frame into bands, given the work of each row of blocks.
     pub(in crate::codec) fn new(
         frame: FrameHeader,

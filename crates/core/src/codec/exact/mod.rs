@@ -46,7 +46,7 @@ pub(super) fn prepare() {
 
 /// Encodes a valid frame, bands in parallel. Stops when the frame is no longer wanted.
 pub(super) fn encode(frame: &LayeredFrame, wanted: Wanted<'_>) -> Result<EncodedFrame, CodecError> {
-    let plan = FramePlan::new(frame.header, &work_of_rows(frame))?;
+    let plan = ExactPlan::new(frame.header, &work_of_rows(frame))?;
     let payloads = (0..plan.num_bands()).into_par_iter().with_max_len(1);
     let payloads = payloads.map(|band| plan.encode(frame, band, wanted));
     plan.encoded(payloads.collect::<Result<_, _>>()?)
@@ -61,13 +61,13 @@ pub(super) fn work_of_rows(frame: &LayeredFrame) -> Vec<usize> {
 
 /// What all bands of a frame share.
 #[derive(Clone, Copy)]
-pub(super) struct FramePlan {
+pub(super) struct ExactPlan {
     header: FrameHeader,
     borders: Borders,
     num_bands: u8,
 }
 
-impl FramePlan {
+impl ExactPlan {
     /// Cuts a frame into bands, given the segments of each row of tiles.
     pub(super) fn new(header: FrameHeader, work: &[usize]) -> Result<Self, CodecError> {
         let intrinsics = header.camera.intrinsics;
