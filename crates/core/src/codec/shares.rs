@@ -29,16 +29,14 @@ impl Coding {
 }
 
 /// The bands of a frame, as all processes find them.
-#[derive(Clone, Copy)]
 pub struct FrameBands<'a> {
     plan: BandsPlan<'a>,
     reference: Option<&'a Reference>,
 }
 
-#[derive(Clone, Copy)]
 enum BandsPlan<'a> {
     Exact(exact::ExactPlan),
-    Blocks(blocks::BlocksPlan<'a>),
+    Blocks(Box<blocks::BlocksPlan<'a>>),
 }
 
 /// A coded band of a frame.
@@ -76,7 +74,7 @@ impl<'a> FrameBands<'a> {
                 return Err(CodecError::Projection(frame.mode));
             }
             Coding::Blocks(settings) => {
-                BandsPlan::Blocks(blocks::BlocksPlan::new(frame, settings, reference, work)?)
+                BandsPlan::Blocks(Box::new(blocks::BlocksPlan::new(frame, settings, reference, work)?))
             }
         };
         Ok(Self { plan, reference })

@@ -164,8 +164,9 @@ mod tests {
         let spec = SliceSpec { plane, thickness: 0.0, mode: SlabMode::Mean };
         let words = cut(&volume, &volume.held(), &spec);
         let read = |lists: &[Vec<u32>], num| slice_of_parts(&volume, num, &spec, lists).map(|_| ());
-        assert_eq!(read(&[words.clone()], 1), Ok(()));
-        assert_eq!(read(&[words.clone()], 2), Err(PartsError::Processes { found: 1, expected: 2 }));
+        assert_eq!(read(std::slice::from_ref(&words), 1), Ok(()));
+        let processes = Err(PartsError::Processes { found: 1, expected: 2 });
+        assert_eq!(read(std::slice::from_ref(&words), 2), processes);
         for i in 0..words.len().min(400) {
             assert!(read(&[words[..i].to_vec()], 1).is_err(), "{i} words");
             let mut wrong = words.clone();

@@ -66,7 +66,7 @@ mod transform;
 pub(super) use band::Band;
 pub(super) use bands::work_of_rows;
 pub(super) use decode::{decode, decode_band};
-pub(super) use encode::{EncodedBand, BlocksPlan, encode_while};
+pub(super) use encode::{BlocksPlan, EncodedBand, encode_while};
 
 pub use encode::encode;
 pub use head::reference_named;
