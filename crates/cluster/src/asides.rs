@@ -15,7 +15,7 @@ use isinglass_core::volume::{
 use serde::{Deserialize, Serialize};
 
 use crate::cluster::{Cluster, OwnRows};
-use crate::coding::{CodeJob, Encoded};
+use crate::coding::{CodeJob, Encoded, EncodedHere};
 use crate::exchange::ClusterError;
 use crate::jobs::{Job, from_words, words_from};
 use crate::orders::{Order, Orders};
@@ -228,15 +228,21 @@ impl Cluster<'_> {
         match order {
             Aside::Slice(spec, reply) => {
                 tell(AsideJob::Slice(spec))?;
-                self.slice(volume, &spec)?.map(|slice| reply.send(slice));
+                if let Some(slice) = self.slice(volume, &spec)? {
+                    let _ = reply.send(slice);
+                }
             }
             Aside::Values(points, reply) => {
                 tell(AsideJob::Values(points.clone()))?;
-                self.values(volume, points)?.map(|values| reply.send(values));
+                if let Some(values) = self.values(volume, points)? {
+                    let _ = reply.send(values);
+                }
             }
             Aside::Gather(frame, reply) => {
                 tell(AsideJob::Gather(*frame))?;
-                self.gather(shelf.frame(*frame)?)?.map(|whole| reply.send(whole));
+                if let Some(whole) = self.gather(shelf.frame(*frame)?)? {
+                    let _ = reply.send(whole);
+                }
             }
             Aside::Code(CodeOrder { frame, header, coding, is_thinned, reference }, reply) => {
                 self.tidy(numbers, shelf, is_in_frame)?;
@@ -296,11 +302,7 @@ impl Cluster<'_> {
         }
     }
 
-    fn code_kept(
-        &self,
-        job: &CodeJob,
-        shelf: &mut Shelf,
-    ) -> Result<Result<(Option<EncodedFrame>, Option<Arc<Reference>>), CodecError>, ClusterError> {
+    fn code_kept(&self, job: &CodeJob, shelf: &mut Shelf) -> Result<EncodedHere, ClusterError> {
         let reference = job.reference.map(|number| {
             let found = shelf.references.get(&number).cloned();
             found.ok_or_else(|| ClusterError::Job(format!("reference {number}")))

@@ -33,6 +33,9 @@ pub(crate) struct CodeJob {
 /// A coded frame, and what others may be predicted from.
 pub(crate) type Encoded = (EncodedFrame, Option<Arc<Reference>>);
 
+/// The same in any process: some have no bytes of it.
+pub(crate) type EncodedHere = Result<(Option<EncodedFrame>, Option<Arc<Reference>>), CodecError>;
+
 impl CodeJob {
     pub(crate) fn new(
         frame: u64,
@@ -68,7 +71,7 @@ impl Cluster<'_> {
         own: &OwnRows,
         job: &CodeJob,
         reference: Option<&Reference>,
-    ) -> Result<Result<(Option<EncodedFrame>, Option<Arc<Reference>>), CodecError>, ClusterError> {
+    ) -> Result<EncodedHere, ClusterError> {
         let (exchange, coding) = (self.exchange(), job.coding());
         let mut watch = Stopwatch::start();
         let thinned;

@@ -163,7 +163,7 @@ struct KeptScene {
 /// Where a process takes a scene from.
 enum Origin<'a> {
     /// The ordered scene itself.
-    Ordered(Scene),
+    Ordered(Box<Scene>),
     /// The own part under any look.
     Base(&'a Scene),
 }
@@ -198,7 +198,7 @@ impl KeptScenes {
             let detail = if is_draft { Detail::Draft } else { Detail::Final };
             let last = self.newest().map(|place| &self.scenes[place].scene);
             let scene = match &origin {
-                Origin::Ordered(scene) => scene.clone(),
+                Origin::Ordered(scene) => (**scene).clone(),
                 Origin::Base(base) => last.unwrap_or(base).under(&look, detail, None),
             };
             let scene = cluster.ready(scene)?;
@@ -218,7 +218,7 @@ impl KeptScenes {
         kept.shown = self.num_shown;
         match origin {
             _ if cluster.reader.is_none() => {}
-            Origin::Ordered(scene) => kept.scene = scene,
+            Origin::Ordered(scene) => kept.scene = *scene,
             Origin::Base(_) => kept.scene = cluster.by_own_pages(&kept.scene, order.pages.as_ref()),
         }
         Ok(&kept.scene)
@@ -270,7 +270,7 @@ impl Cluster<'_> {
                     let order = desk.kept.order(&scene, self.pages_order(&scene));
                     let of = (order.clone(), JobView::from(&view), rows.clone());
                     self.tell(&Job::Rows { scene: of.0, view: of.1, rows: of.2 }, false)?;
-                    let scene = desk.kept.take(self, order, Origin::Ordered(scene))?;
+                    let scene = desk.kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
                     let _ = reply.send(self.picture(scene, &view, rows)?);
                 }
                 Order::Aside(aside) => {
@@ -301,7 +301,7 @@ impl Cluster<'_> {
         let threshold = budget.threshold(&header, scene.volume.bounds().radius());
         let (camera, k, number) = (JobCamera::from(&header.camera), header.k, numbers.next());
         self.tell(&Job::Frame { scene: order.clone(), camera, k, threshold, number }, false)?;
-        let scene = kept.take(self, order, Origin::Ordered(scene))?;
+        let scene = kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
         self.tell_progress(viewer.as_slice())?;
         let mut goes_on = || {
             while let Some(aside) = waiting.next_aside() {
