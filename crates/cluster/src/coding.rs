@@ -86,7 +86,7 @@ impl Cluster<'_> {
         let work: Vec<usize> = exchange.sum(&work)?.into_iter().map(|work| work as usize).collect();
         let (frame, pose, look) = job.ids;
         let header = FrameHeader { frame, pose, look, ..rows.header };
-        let bands = match FrameBands::new(&coding, header, reference, &work) {
+        let bands = match coding.bands(header, reference, &work) {
             Ok(bands) => bands,
             Err(e) => return Ok(Err(e)),
         };

@@ -8,25 +8,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::Coding;
-use super::blocks::{self, Band, Reference};
+use super::blocks::{self, Band, Reference, Settings};
 use super::chunk::EncodedFrame;
 use super::error::CodecError;
 use super::exact;
 use super::header::peek;
 use crate::cancel::Wanted;
 use crate::layer::{FrameHeader, LayeredFrame};
-
-impl Coding {
-    /// The work for each row of tiles or of blocks of a frame. Rows that are elsewhere are empty here; the sums of all
-    /// processes are those of the frame.
-    pub fn work_of_rows(&self, frame: &LayeredFrame) -> Vec<usize> {
-        match self {
-            Self::Exact => exact::work_of_rows(frame),
-            Self::Blocks(_) => blocks::work_of_rows(frame),
-        }
-    }
-}
 
 /// The bands of a frame, as all processes find them.
 pub struct FrameBands<'a> {
@@ -58,26 +46,21 @@ impl CodedBand {
 }
 
 impl<'a> FrameBands<'a> {
-    /// Cuts a frame into bands, given the work of each of its rows. See [`Coding::encode`] for the reference.
-    ///
-    /// # Errors
-    /// On frames above the limits of the codec, and on projections in blocks.
-    pub fn new(
-        coding: &Coding,
+    /// Bands of a frame in the exact coding, given the work of each row of tiles.
+    pub(super) fn exact(frame: FrameHeader, work: &[usize]) -> Result<Self, CodecError> {
+        let plan = BandsPlan::Exact(exact::ExactPlan::new(frame, work)?);
+        Ok(Self { plan, reference: None })
+    }
+
+    /// Bands of a frame in blocks, given the work of each row of blocks.
+    pub(super) fn in_blocks(
         frame: FrameHeader,
+        settings: &Settings,
         reference: Option<&'a Reference>,
         work: &[usize],
     ) -> Result<Self, CodecError> {
-        let plan = match coding {
-            Coding::Exact => BandsPlan::Exact(exact::ExactPlan::new(frame, work)?),
-            Coding::Blocks(_) if frame.mode.is_projection() => {
-                return Err(CodecError::Projection(frame.mode));
-            }
-            Coding::Blocks(settings) => {
-                BandsPlan::Blocks(Box::new(blocks::BlocksPlan::new(frame, settings, reference, work)?))
-            }
-        };
-        Ok(Self { plan, reference })
+        let plan = Box::new(blocks::BlocksPlan::new(frame, settings, reference, work)?);
+        Ok(Self { plan: BandsPlan::Blocks(plan), reference })
     }
 
     /// Number of bands.

@@ -2,10 +2,9 @@
 
 use super::*;
 use crate::cancel::ALWAYS;
-use crate::codec::blocks::Settings;
 use crate::codec::blocks::tests::made;
 use crate::codec::exact::tests::soft_scene;
-use crate::codec::{References, decode_with};
+use crate::codec::{Coding, References, decode_with};
 use crate::kernels::layering::parts::{frame_from_words, words_from_rows};
 use crate::kernels::rows_of;
 use crate::layer::LayeredFrame;
@@ -29,10 +28,8 @@ fn coded(
     let shares: Vec<_> = (0..num).map(|rank| with_rows(frame, rows_of(rank, num, height))).collect();
     let works: Vec<_> = shares.iter().map(|share| coding.work_of_rows(share)).collect();
     let work: Vec<usize> = (0..works[0].len()).map(|row| works.iter().map(|work| work[row]).sum()).collect();
-    let plans: Vec<_> = before
-        .iter()
-        .map(|before| FrameBands::new(coding, frame.header, before.as_deref(), &work).unwrap())
-        .collect();
+    let plans: Vec<_> =
+        before.iter().map(|before| coding.bands(frame.header, before.as_deref(), &work).unwrap()).collect();
     let coder = |band: usize| band % num;
     let bands: Vec<CodedBand> = (0..plans[0].num())
         .map(|band| {
@@ -93,7 +90,7 @@ fn bands_that_are_missing_or_damaged_are_errors() {
     let frame = made(&soft_scene(Builtin::Cubus), 1, 100, 157, 1.0);
     let coding = Coding::Blocks(Settings::of(60));
     let work = coding.work_of_rows(&frame);
-    let plan = FrameBands::new(&coding, frame.header, None, &work).unwrap();
+    let plan = coding.bands(frame.header, None, &work).unwrap();
     let band = |i| plan.encode(&frame, i, ALWAYS).unwrap();
     let bands: Vec<_> = (0..plan.num()).map(band).collect();
     assert!(plan.join(bands.clone()).is_ok());
