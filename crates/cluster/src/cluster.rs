@@ -3,9 +3,8 @@
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
-use isinglass_core::cancel::{ALWAYS, Wanted};
 use isinglass_core::kernels::layering::parts::{
-    AskedFrame, OnProcessors, PartMarcher, frame_from_words, threshold, unite, words_from_rows,
+    AskedFrame, OnProcessors, PartMarcher, frame_from_words, frame_of_rows, threshold, unite, words_from_rows,
 };
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
@@ -25,6 +24,16 @@ pub struct Cluster<'a> {
     /// Reads the pages of the own part, if the volume is read by pages.
     pub(crate) reader: Option<&'a dyn PageReader>,
     marcher: Box<dyn PartMarcher + 'a>,
+}
+
+/// The rows of a frame that this process has made.
+#[derive(Clone, Debug)]
+pub(crate) struct OwnRows {
+    /// The frame, whose other rows are empty.
+    pub(crate) rows: LayeredFrame,
+    /// Segments of the whole frame, and lists that have any.
+    pub(crate) num_segments: u64,
+    pub(crate) num_filled: u64,
 }
 
 /// Where the time of a frame went in this process.
@@ -121,21 +130,30 @@ impl<'a> Cluster<'a> {
         scene: &Scene,
         header: FrameHeader,
     ) -> Result<(Option<LayeredFrame>, Report), ClusterError> {
-        self.generate_while(scene, header, None, ALWAYS)
+        let (rows, mut report) = self.rows_while(scene, header, None, &mut || Ok(true))?;
+        let mut watch = Stopwatch::start();
+        let made = rows.map(|rows| self.gather(&rows)).transpose()?.flatten();
+        report.gather = watch.lap();
+        Ok((made, report))
     }
 
-    /// The same with a threshold that is known, and only while the frame is wanted by process 0. It says so after each
-    /// slice of rows, and all stop at the same one.
-    ///
-    /// # Errors
-    /// If the processes cannot talk, or one sends something else than expected.
-    pub fn generate_while(
+    /// The whole of a frame, in process 0.
+    pub(crate) fn gather(&self, own: &OwnRows) -> Result<Option<LayeredFrame>, ClusterError> {
+        let (size, height) = (self.exchange.size(), own.rows.header.camera.intrinsics.height);
+        let rows: Vec<Vec<u32>> = (0..size).map(|owner| rows_of(owner, size, height)).collect();
+        let all = self.exchange.gather(words_from_rows(&own.rows, &rows[self.rank()]))?;
+        Ok(all.map(|words| frame_from_words(own.rows.header, &rows, &words)).transpose()?)
+    }
+
+    /// The rows of a frame that this process makes, at a threshold if one is known. After each slice of rows, all ask
+    /// whether it goes on, and all get the same answer.
+    pub(crate) fn rows_while(
         &self,
         scene: &Scene,
         header: FrameHeader,
         known_threshold: Option<f32>,
-        wanted: Wanted<'_>,
-    ) -> Result<(Option<LayeredFrame>, Report), ClusterError> {
+        goes_on: &mut dyn FnMut() -> Result<bool, ClusterError>,
+    ) -> Result<(Option<OwnRows>, Report), ClusterError> {
         let (exchange, split, rank) = (self.exchange, &self.split, self.rank());
         let (size, height) = (exchange.size(), header.camera.intrinsics.height);
         let mut report = Report::default();
@@ -152,8 +170,7 @@ impl<'a> Cluster<'a> {
             let of_slice: Vec<&[u32]> = rows.iter().map(|rows| rows_within(rows, &slice)).collect();
             let found = self.marcher.pieces(&self.part(scene), &frame, &of_slice);
             words.iter_mut().zip(found).for_each(|(words, mut found)| words.append(&mut found));
-            let is_wanted = exchange.broadcast(vec![u32::from(wanted())])?;
-            if is_wanted != [1] {
+            if !goes_on()? {
                 return Ok((None, report));
             }
         }
@@ -162,12 +179,11 @@ impl<'a> Cluster<'a> {
         report.march = watch.lap();
         let lists = exchange.all_to_all(words)?;
         report.exchange = watch.lap();
-        let rows = unite(scene, split, &frame, &rows[rank], &lists)?;
+        let made = unite(scene, split, &frame, &rows[rank], &lists)?;
+        let rows = frame_of_rows(&frame, &rows[rank], made);
+        let spent = exchange.sum(&[rows.num_segments() as u64, rows.num_filled() as u64])?;
         report.merge = watch.lap();
-        let all = exchange.gather(words_from_rows(&rows))?;
-        let made = all.map(|words| frame_from_words(&frame, &words)).transpose()?;
-        report.gather = watch.lap();
-        Ok((made, report))
+        Ok((Some(OwnRows { rows, num_segments: spent[0], num_filled: spent[1] }), report))
     }
 
     /// The threshold of a frame, by the steps of its counted rays.
@@ -212,14 +228,14 @@ fn slices(height: u32, size: usize) -> impl Iterator<Item = Range<u32>> {
 const LEAST_ROWS: u32 = 32;
 
 /// Time from one part of the work to the next.
-struct Stopwatch(Instant);
+pub(crate) struct Stopwatch(Instant);
 
 impl Stopwatch {
-    fn start() -> Self {
+    pub(crate) fn start() -> Self {
         Self(Instant::now())
     }
 
-    fn lap(&mut self) -> Duration {
+    pub(crate) fn lap(&mut self) -> Duration {
         let now = Instant::now();
         now - std::mem::replace(&mut self.0, now)
     }

@@ -10,14 +10,20 @@ use isinglass_core::volume::PlanKey;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::asides::AsideJob;
 use crate::exchange::ClusterError;
 use crate::pages::PagesOrder;
+use crate::words::{push_bytes, take_bytes};
 
 /// Something that all processes make together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Job {
-    /// A layered frame, at a threshold if one is known.
-    Frame { scene: SceneOrder, camera: JobCamera, k: u8, threshold: Option<f32> },
+    /// A layered frame, at a threshold if one is known. All keep their rows of it under its number.
+    Frame { scene: SceneOrder, camera: JobCamera, k: u8, threshold: Option<f32>, number: u64 },
+    /// Whether a frame goes on, between two slices of its rows.
+    GoOn(bool),
+    /// Something that is done beside frames, also between two slices of one.
+    Aside(AsideJob),
     /// Rows of a picture.
     Rows { scene: SceneOrder, view: JobView, rows: Range<u32> },
     /// How far the pages of some viewers are.
@@ -99,25 +105,20 @@ impl JobView {
 pub(crate) fn words_from<T: Serialize>(something: &T) -> Result<Vec<u32>, ClusterError> {
     let bytes = bincode::serde::encode_to_vec(something, bincode::config::standard());
     let bytes = bytes.map_err(|e| ClusterError::Job(e.to_string()))?;
-    let mut words = vec![bytes.len() as u32];
-    words.extend(bytes.chunks(4).map(|four| {
-        let mut word = [0; 4];
-        word[..four.len()].copy_from_slice(four);
-        u32::from_le_bytes(word)
-    }));
+    let mut words = Vec::with_capacity(1 + bytes.len().div_ceil(4));
+    push_bytes(&mut words, &bytes);
     Ok(words)
 }
 
 /// Reads the words of [`words_from`].
 pub(crate) fn from_words<T: DeserializeOwned>(words: &[u32]) -> Result<T, ClusterError> {
     let wrong = |why: &str| ClusterError::Job(why.to_owned());
-    let (num, words) = words.split_first().ok_or_else(|| wrong("nothing"))?;
-    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-    let bytes = bytes.get(..*num as usize).ok_or_else(|| wrong("too few words"))?;
+    let mut rest = words;
+    let bytes = take_bytes(&mut rest).ok_or_else(|| wrong("too few words"))?;
     let config = bincode::config::standard().with_limit::<MOST_BYTES>();
     let (found, used) =
-        bincode::serde::decode_from_slice(bytes, config).map_err(|e| wrong(&e.to_string()))?;
-    if used == bytes.len() { Ok(found) } else { Err(wrong("too many words")) }
+        bincode::serde::decode_from_slice(&bytes, config).map_err(|e| wrong(&e.to_string()))?;
+    if used == bytes.len() && rest.is_empty() { Ok(found) } else { Err(wrong("too many words")) }
 }
 
 /// A look has some kilobytes, and the histograms of all channels some megabytes.
@@ -150,7 +151,7 @@ mod tests {
             assert_eq!(JobView::from(&view).view(), view);
             let scene = SceneOrder { place: 1, new: Some((look(), true)), pages: None };
             let camera = JobCamera::from(&camera);
-            let job = Job::Frame { scene, camera, k: 8, threshold: Some(0.25) };
+            let job = Job::Frame { scene, camera, k: 8, threshold: Some(0.25), number: 7 };
             let words = words_from(&job).unwrap();
             assert_eq!(from_words::<Job>(&words).unwrap(), job);
             // The controls.

@@ -5,7 +5,9 @@
 //! rest ([`isinglass_core::kernels::layering::parts`]). A volume that no memory holds is read by pages ([`PageReader`]). An [`Exchange`] carries their words: MPI, or channels between
 //! threads.
 
+mod asides;
 mod cluster;
+mod coding;
 mod exchange;
 mod in_process;
 mod jobs;
@@ -14,7 +16,9 @@ mod mpi_world;
 mod orders;
 mod pages;
 mod whole;
+mod words;
 
+pub use asides::FrameOfAll;
 pub use cluster::{Cluster, Report};
 pub use exchange::{ClusterError, Exchange, ExchangeError, agree, are_alike, same_everywhere};
 pub use in_process::InProcess;

@@ -1,27 +1,29 @@
 //! Frames and pictures on order. Threads of process 0 order them, its main thread hands each order on to the other
 //! processes, and all of them work on it together.
 
+use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
-use isinglass_core::cancel::{ALWAYS, Wanted};
+use isinglass_core::cancel::Wanted;
 use isinglass_core::kernels::layering::budget::Budget;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
-use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::Detail;
+use isinglass_core::volume::{Detail, Volume};
 
-use crate::cluster::Cluster;
+use crate::asides::{Aside, FrameOfAll, Numbers, Shelf};
+use crate::cluster::{Cluster, OwnRows};
 use crate::exchange::ClusterError;
-use crate::jobs::{Job, JobCamera, JobView, SceneOrder, from_words, words_from};
+use crate::jobs::{Job, JobCamera, JobView, SceneOrder};
 use crate::pages::{PageReader, PagesOrder};
 
-/// Orders frames and pictures. Clones order from the same processes, which end with the last of them.
+/// Orders frames, pictures and slices. Clones order from the same processes, which end with the last of them.
 #[derive(Clone)]
 pub struct Orders(SyncSender<Order>);
 
@@ -29,21 +31,15 @@ pub struct Orders(SyncSender<Order>);
 pub struct OrderQueue(Receiver<Order>);
 
 /// The scene of an order is the own part of process 0, without the shade of others.
-enum Order {
-    Frame {
-        scene: Scene,
-        header: FrameHeader,
-        is_over: Arc<AtomicBool>,
-        reply: SyncSender<Option<LayeredFrame>>,
-    },
-    Rows {
-        scene: Scene,
-        view: View,
-        rows: Range<u32>,
-        reply: SyncSender<Option<Picture>>,
-    },
+pub(crate) enum Order {
+    Frame { scene: Scene, header: FrameHeader, is_over: Arc<AtomicBool>, reply: SyncSender<Option<MadeRows>> },
+    Rows { scene: Scene, view: View, rows: Range<u32>, reply: SyncSender<Option<Picture>> },
+    Aside(Aside),
     End,
 }
+
+/// The number of a frame whose rows are made, its header, and how many segments it has.
+type MadeRows = (Arc<u64>, FrameHeader, usize);
 
 /// Orders, and where they arrive.
 pub fn orders() -> (Orders, OrderQueue) {
@@ -54,14 +50,21 @@ pub fn orders() -> (Orders, OrderQueue) {
 impl Orders {
     /// A layered frame of the whole volume, of which `scene` is the own part under a look. `None` if it is no longer
     /// wanted, or the processes have ended.
-    pub fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame> {
+    pub fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<FrameOfAll> {
         let is_over = Arc::new(AtomicBool::new(false));
         let (reply, answer) = sync_channel(1);
         let order = Order::Frame { scene: scene.clone(), header, is_over: is_over.clone(), reply };
-        self.0.send(order).ok()?;
+        self.send(order)?;
         loop {
             match answer.recv_timeout(LOOK_AGAIN) {
-                Ok(made) => return made,
+                Ok(made) => {
+                    return made.map(|(number, header, num_segments)| FrameOfAll {
+                        orders: self.clone(),
+                        number,
+                        header,
+                        num_segments,
+                    });
+                }
                 Err(RecvTimeoutError::Disconnected) => return None,
                 Err(RecvTimeoutError::Timeout) if !wanted() => is_over.store(true, Ordering::Relaxed),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -72,15 +75,75 @@ impl Orders {
     /// Some rows of the picture of a view of the whole volume; `None` if the processes have ended.
     pub fn render_rows(&self, scene: &Scene, view: &View, rows: Range<u32>) -> Option<Picture> {
         let (reply, answer) = sync_channel(1);
-        self.0.send(Order::Rows { scene: scene.clone(), view: *view, rows, reply }).ok()?;
+        self.send(Order::Rows { scene: scene.clone(), view: *view, rows, reply })?;
         answer.recv().ok()?
     }
 
     /// Ends the work of all processes. Later orders come to nothing.
     pub fn end(&self) {
         // They may have ended.
-        let _ = self.0.send(Order::End);
+        let _ = self.send(Order::End);
     }
+
+    /// `None` if the processes have ended.
+    pub(crate) fn send(&self, order: Order) -> Option<()> {
+        self.0.send(order).ok()
+    }
+}
+
+/// The orders that wait.
+struct Waiting {
+    queue: Receiver<Order>,
+    asides: VecDeque<Aside>,
+    others: VecDeque<Order>,
+}
+
+impl Waiting {
+    fn new(OrderQueue(queue): OrderQueue) -> Self {
+        Self { queue, asides: VecDeque::new(), others: VecDeque::new() }
+    }
+
+    /// The next one that is done beside frames, if any waits.
+    fn next_aside(&mut self) -> Option<Aside> {
+        while let Ok(order) = self.queue.try_recv() {
+            self.put(order);
+        }
+        self.asides.pop_front()
+    }
+
+    /// The next order, with those beside frames first, if it comes within a time.
+    fn next(&mut self, patience: Option<Duration>) -> Result<Order, RecvTimeoutError> {
+        loop {
+            if let Some(aside) = self.next_aside() {
+                return Ok(Order::Aside(aside));
+            }
+            if let Some(order) = self.others.pop_front() {
+                return Ok(order);
+            }
+            let order = match patience {
+                Some(patience) => self.queue.recv_timeout(patience)?,
+                None => self.queue.recv().map_err(|_| RecvTimeoutError::Disconnected)?,
+            };
+            self.put(order);
+        }
+    }
+
+    fn put(&mut self, order: Order) {
+        match order {
+            Order::Aside(aside) => self.asides.push_back(aside),
+            other => self.others.push_back(other),
+        }
+    }
+}
+
+/// What process 0 has and keeps while it works.
+struct Desk<'a> {
+    waiting: Waiting,
+    volume: &'a Volume,
+    kept: KeptScenes,
+    budget: Budget,
+    numbers: Numbers,
+    shelf: Shelf,
 }
 
 /// Scenes of the own part that are ready, by place, and when each was shown last.
@@ -100,7 +163,7 @@ struct KeptScene {
 /// Where a process takes a scene from.
 enum Origin<'a> {
     /// The ordered scene itself.
-    Ordered(Scene),
+    Ordered(Box<Scene>),
     /// The own part under any look.
     Base(&'a Scene),
 }
@@ -135,7 +198,7 @@ impl KeptScenes {
             let detail = if is_draft { Detail::Draft } else { Detail::Final };
             let last = self.newest().map(|place| &self.scenes[place].scene);
             let scene = match &origin {
-                Origin::Ordered(scene) => scene.clone(),
+                Origin::Ordered(scene) => (**scene).clone(),
                 Origin::Base(base) => last.unwrap_or(base).under(&look, detail, None),
             };
             let scene = cluster.ready(scene)?;
@@ -155,7 +218,7 @@ impl KeptScenes {
         kept.shown = self.num_shown;
         match origin {
             _ if cluster.reader.is_none() => {}
-            Origin::Ordered(scene) => kept.scene = scene,
+            Origin::Ordered(scene) => kept.scene = *scene,
             Origin::Base(_) => kept.scene = cluster.by_own_pages(&kept.scene, order.pages.as_ref()),
         }
         Ok(&kept.scene)
@@ -163,27 +226,30 @@ impl KeptScenes {
 }
 
 impl Cluster<'_> {
-    /// Works on orders together with the other processes, until they are to end or nobody can order
-    /// anything. Only in process 0.
+    /// Works on orders together with the other processes, until they are to end or nobody can order anything. `volume` is
+    /// the own part. Only in process 0.
     ///
     /// # Errors
     /// If the processes cannot talk, or one sends something else than expected.
-    pub fn work_on(&self, orders: OrderQueue) -> Result<(), ClusterError> {
-        let (mut kept, mut budget) = (KeptScenes::default(), Budget::default());
+    pub fn work_on(&self, orders: OrderQueue, volume: &Volume) -> Result<(), ClusterError> {
+        let mut desk = Desk {
+            waiting: Waiting::new(orders),
+            volume,
+            kept: KeptScenes::default(),
+            budget: Budget::default(),
+            numbers: Numbers::default(),
+            shelf: Shelf::default(),
+        };
+        isinglass_core::codec::prepare();
         // Whether pages of others are still to come.
         let mut is_loading = false;
         loop {
-            let order = if is_loading {
-                orders.0.recv_timeout(ASK_AGAIN)
-            } else {
-                orders.0.recv().map_err(|_| RecvTimeoutError::Disconnected)
-            };
-            let order = match order {
+            let order = match desk.waiting.next(is_loading.then_some(ASK_AGAIN)) {
                 Ok(order) => order,
                 Err(RecvTimeoutError::Disconnected) => break,
                 Err(RecvTimeoutError::Timeout) => {
                     let viewers = self.reader.map(PageReader::viewers).unwrap_or_default();
-                    self.tell(&Job::Progress { viewers: viewers.clone() })?;
+                    self.tell(&Job::Progress { viewers: viewers.clone() }, false)?;
                     is_loading = self.tell_progress(&viewers)?;
                     continue;
                 }
@@ -193,7 +259,7 @@ impl Cluster<'_> {
                     let wanted = || !is_over.load(Ordering::Relaxed);
                     let made = if wanted() {
                         is_loading |= scene.pages.is_some();
-                        self.frame(&mut kept, &mut budget, scene, header, &wanted)?
+                        self.frame(&mut desk, scene, header, &wanted)?
                     } else {
                         None
                     };
@@ -201,26 +267,30 @@ impl Cluster<'_> {
                     let _ = reply.send(made);
                 }
                 Order::Rows { scene, view, rows, reply } => {
-                    let order = kept.order(&scene, self.pages_order(&scene));
+                    let order = desk.kept.order(&scene, self.pages_order(&scene));
                     let of = (order.clone(), JobView::from(&view), rows.clone());
-                    self.tell(&Job::Rows { scene: of.0, view: of.1, rows: of.2 })?;
-                    let scene = kept.take(self, order, Origin::Ordered(scene))?;
+                    self.tell(&Job::Rows { scene: of.0, view: of.1, rows: of.2 }, false)?;
+                    let scene = desk.kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
                     let _ = reply.send(self.picture(scene, &view, rows)?);
+                }
+                Order::Aside(aside) => {
+                    self.order_aside(aside, volume, (&mut desk.numbers, &mut desk.shelf), false)?;
                 }
                 Order::End => break,
             }
         }
-        self.tell(&Job::End)
+        self.tell(&Job::End, false)
     }
 
     fn frame(
         &self,
-        kept: &mut KeptScenes,
-        budget: &mut Budget,
+        desk: &mut Desk<'_>,
         scene: Scene,
         header: FrameHeader,
         wanted: Wanted<'_>,
-    ) -> Result<Option<LayeredFrame>, ClusterError> {
+    ) -> Result<Option<MadeRows>, ClusterError> {
+        let Desk { waiting, volume, kept, budget, numbers, shelf } = desk;
+        self.tidy(numbers, shelf, false)?;
         let header = FrameHeader { mode: scene.settings.mode, ..header };
         let order = kept.order(&scene, self.pages_order(&scene));
         let viewer = order.pages.as_ref().map(PagesOrder::key);
@@ -229,21 +299,26 @@ impl Cluster<'_> {
             budget.forget();
         }
         let threshold = budget.threshold(&header, scene.volume.bounds().radius());
-        let (camera, k) = (JobCamera::from(&header.camera), header.k);
-        self.tell(&Job::Frame { scene: order.clone(), camera, k, threshold })?;
-        let scene = kept.take(self, order, Origin::Ordered(scene))?;
+        let (camera, k, number) = (JobCamera::from(&header.camera), header.k, numbers.next());
+        self.tell(&Job::Frame { scene: order.clone(), camera, k, threshold, number }, false)?;
+        let scene = kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
         self.tell_progress(viewer.as_slice())?;
-        let (made, report) = self.generate_while(scene, header, threshold, wanted)?;
-        if let Some(frame) = &made {
-            tracing::debug!(?report, "a frame of all processes");
-            budget.note(&header, report.threshold, frame);
-        }
-        Ok(made)
-    }
-
-    fn tell(&self, job: &Job) -> Result<(), ClusterError> {
-        self.exchange().broadcast_some_day(words_from(job)?)?;
-        Ok(())
+        let mut goes_on = || {
+            while let Some(aside) = waiting.next_aside() {
+                self.order_aside(aside, volume, (numbers, shelf), true)?;
+            }
+            let goes_on = wanted();
+            self.tell(&Job::GoOn(goes_on), true)?;
+            Ok(goes_on)
+        };
+        let (made, report) = self.rows_while(scene, header, threshold, &mut goes_on)?;
+        let Some(rows) = made else { return Ok(None) };
+        tracing::debug!(?report, "a frame of all processes");
+        let OwnRows { num_segments, num_filled, .. } = rows;
+        budget.note_spent(&header, report.threshold, num_segments as usize, num_filled as usize);
+        let made = (numbers.note_frame(number), rows.rows.header, num_segments as usize);
+        shelf.frames.insert(number, rows);
+        Ok(Some(made))
     }
 
     /// Works on what process 0 asks for, until it ends. `base` is the own part under any look. Only in other processes.
@@ -251,15 +326,19 @@ impl Cluster<'_> {
     /// # Errors
     /// If the processes cannot talk, or one sends something else than expected.
     pub fn help(&self, base: &Scene) -> Result<(), ClusterError> {
-        let mut kept = KeptScenes::default();
+        let (mut kept, mut shelf, volume) = (KeptScenes::default(), Shelf::default(), base.whole());
+        isinglass_core::codec::prepare();
         loop {
-            match from_words(&self.exchange().broadcast_some_day(Vec::new())?)? {
-                Job::Frame { scene, camera, k, threshold } => {
+            match self.told(false)? {
+                Job::Frame { scene, camera, k, threshold, number } => {
                     let viewer = scene.pages.as_ref().map(PagesOrder::key);
                     let scene = kept.take(self, scene, Origin::Base(base))?;
                     self.tell_progress(viewer.as_slice())?;
                     let header = FrameHeader::alone(camera.camera(), k);
-                    self.generate_while(scene, header, threshold, ALWAYS)?;
+                    let mut goes_on = || self.goes_on(volume, &mut shelf);
+                    if let (Some(rows), _) = self.rows_while(scene, header, threshold, &mut goes_on)? {
+                        shelf.frames.insert(number, rows);
+                    }
                 }
                 Job::Rows { scene, view, rows } => {
                     let scene = kept.take(self, scene, Origin::Base(base))?;
@@ -268,6 +347,8 @@ impl Cluster<'_> {
                 Job::Progress { viewers } => {
                     self.tell_progress(&viewers)?;
                 }
+                Job::Aside(job) => self.do_aside(job, volume, &mut shelf)?,
+                Job::GoOn(_) => return Err(ClusterError::Job("a frame goes on that nobody makes".into())),
                 Job::End => return Ok(()),
             }
         }

@@ -2,12 +2,14 @@
 
 #![expect(clippy::unwrap_used, reason = "what a test cannot do without")]
 
+mod common;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use glam::Vec3;
-use isinglass_cluster::{Cluster, Exchange, InProcess, OrderQueue, Orders, in_whole, orders};
-use isinglass_core::camera::{Camera, Intrinsics, Pose};
+use common::{camera, lit, look, served};
+use isinglass_cluster::orders;
+use isinglass_core::camera::{Camera, Intrinsics};
 use isinglass_core::cancel::ALWAYS;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::{Scene, render};
@@ -16,71 +18,12 @@ use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
 use isinglass_core::mode::{Iso, Isos, Mode};
 use isinglass_core::picture::Picture;
-use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Detail, GHOSTS, Lighting, Split, Volume};
-
-fn look(opacity: f32, lighting: Lighting) -> Look {
-    let point = |x, color, opacity| ControlPoint { x, color, opacity };
-    let transfer = TransferFunction {
-        name: "step".into(),
-        domain: Domain::Full,
-        unit_length: UnitLength::Radius(0.1),
-        points: vec![
-            point(0.0, [0.2, 0.4, 1.0], 0.0),
-            point(0.3, [1.0, 0.8, 0.3], 0.0),
-            point(1.0, [1.0; 3], opacity),
-        ],
-    };
-    Look { lighting, ..Look::new(transfer) }
-}
-
-fn lit() -> Lighting {
-    Lighting { ambient_occlusion: 0.9, shadows: 0.8, ..Lighting::default() }
-}
-
-fn camera(volume: &Volume, degrees: f32) -> Camera {
-    let bounds = volume.bounds();
-    let pose = Pose::orbit(Vec3::ZERO, 0.5 + degrees.to_radians(), 0.35, 2.6 * bounds.radius());
-    Camera::new(pose, Intrinsics::perspective(96, 80, 0.8), &bounds)
-}
 
 fn greatest_difference(a: &Picture, b: &Picture) -> u8 {
     let (a, b) = (a.to_srgb8([0.0; 3]), b.to_srgb8([0.0; 3]));
     a.iter().zip(&b).map(|(x, y)| x.abs_diff(*y)).max().unwrap()
-}
-
-/// Process 0 works on the orders that `serve` gives with the scene of its part. Each process has a thread.
-fn served<R: Send>(
-    volume: &Volume,
-    split: &Split,
-    look: &Look,
-    serve: impl FnOnce(Orders, &Scene) -> R + Send,
-) -> R {
-    let part = |exchange: &InProcess| {
-        let rank = exchange.rank();
-        let (own, held) = (split.boxes()[rank], split.held(rank, GHOSTS));
-        let part = volume.part(&held).unwrap();
-        let part = in_whole(exchange, part, &own, &held, volume.dims(), None).unwrap();
-        Scene::of_look(Arc::new(part), look)
-    };
-    let mut all = InProcess::all(split.boxes().len()).into_iter();
-    let first = all.next().unwrap();
-    let (orders, queue): (Orders, OrderQueue) = orders();
-    std::thread::scope(|scope| {
-        for exchange in all {
-            let part = &part;
-            scope.spawn(move || {
-                let base = part(&exchange);
-                Cluster::new(&exchange, split.clone()).help(&base).unwrap();
-            });
-        }
-        let base = part(&first);
-        let own = base.clone();
-        let serving = scope.spawn(move || serve(orders, &own));
-        Cluster::new(&first, split.clone()).work_on(queue).unwrap();
-        serving.join().unwrap()
-    })
 }
 
 #[test]
@@ -101,12 +44,13 @@ fn what_is_ordered_is_what_one_process_shows_with_all_light() {
     ];
     for layers in [[2, 1, 1], [1, 3, 2]] {
         let split = Split::grid(volume.dims(), layers).unwrap();
-        let found = served(&volume, &split, &first, |orders, base| {
+        let found = served(&volume, &split, &first, |orders, base, _| {
             let each = looks.iter().map(|look| {
                 let scene = base.under(look, Detail::Final, None);
                 assert!(scene.is_final());
                 let camera = camera(&volume, 0.0);
                 let frame = orders.generate(&scene, FrameHeader::alone(camera, 8), ALWAYS).unwrap();
+                let frame = frame.gather().unwrap();
                 let view = View::from(&camera);
                 let rows = [0..31, 31..80].map(|rows| orders.render_rows(&scene, &view, rows).unwrap());
                 let pixels = rows.into_iter().flat_map(|rows| rows.pixels).collect();
@@ -152,7 +96,7 @@ fn a_frame_is_given_up_by_all_and_the_next_one_is_made() {
     let volume = Builtin::Cloud.volume(48);
     let split = Split::evenly(volume.dims(), 3).unwrap();
     let first = look(0.5, Lighting::default());
-    let (given_up, made, draft) = served(&volume, &split, &first, |orders, base| {
+    let (given_up, made, draft) = served(&volume, &split, &first, |orders, base, _| {
         let asked = AtomicU32::new(0);
         // It is wanted while it is ordered, and no longer soon after.
         let wanted = || asked.fetch_add(1, Ordering::Relaxed) < 1;
@@ -160,10 +104,10 @@ fn a_frame_is_given_up_by_all_and_the_next_one_is_made() {
             Camera::new(camera(&volume, 0.0).pose, Intrinsics::perspective(900, 700, 0.8), &volume.bounds());
         let given_up = orders.generate(base, FrameHeader::alone(large, 8), &wanted);
         let header = FrameHeader::alone(camera(&volume, 10.0), 8);
-        let made = orders.generate(base, header, ALWAYS);
+        let made = orders.generate(base, header, ALWAYS).and_then(|made| made.gather());
         // A light that is a draft says so, until its final one is asked for.
         let draft = base.under(&look(0.5, lit()), Detail::Draft, None);
-        let shaded = orders.generate(&draft, header, ALWAYS);
+        let shaded = orders.generate(&draft, header, ALWAYS).and_then(|made| made.gather());
         (given_up, made, (draft.is_final(), shaded))
     });
     assert!(given_up.is_none());

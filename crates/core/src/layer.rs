@@ -146,7 +146,16 @@ impl LayeredFrame {
     /// The frame of a greatest or least value without its less visible segments: no list keeps more than half the mean
     /// length of the lists that are not empty. The greatest keys stay, so the picture from the frame's own pose does.
     pub fn thinned(&self) -> Self {
-        let most = self.num_segments().div_ceil(2 * self.num_filled().max(1)).max(1);
+        self.thinned_to(Self::thin_length(self.num_segments(), self.num_filled()))
+    }
+
+    /// The longest list of a thinned frame that had so many segments in so many lists.
+    pub fn thin_length(num_segments: usize, num_filled: usize) -> usize {
+        num_segments.div_ceil(2 * num_filled.max(1)).max(1)
+    }
+
+    /// The frame with at most `most` segments in each list, those with the greatest keys.
+    pub fn thinned_to(&self, most: usize) -> Self {
         let mut thin = Self::empty(self.header);
         let mut kept: Vec<usize> = Vec::with_capacity(MAX_K);
         for i in 0..self.header.camera.intrinsics.num_pixels() {

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
 use isinglass_core::clip::{Clip, Plane};
-use isinglass_core::kernels::layering::parts::{frame_from_words, unite};
+use isinglass_core::kernels::layering::parts::{frame_from_words, frame_of_rows, unite, words_from_rows};
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
 use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::kernels::{PartsError, rows_of};
@@ -200,5 +200,14 @@ fn a_picture_of_parts_lacks_what_one_does_not_send() {
     assert!(matches!(all(&short), Err(PartsError::Words { rank: 1, .. })));
     let swapped = [lists[1].clone(), lists[0].clone()];
     assert!(matches!(all(&swapped), Err(PartsError::Stray { .. })), "each ray meets other parts");
-    assert!(matches!(frame_from_words(&frame, &[vec![0; 7]]), Err(PartsError::Words { rank: 0, .. })));
+    // Rows of lists, too.
+    let made = frame_of_rows(&frame, &rows, all(&lists).unwrap());
+    let words = words_from_rows(&made, &rows);
+    let read = |words: &[u32]| frame_from_words(made.header, std::slice::from_ref(&rows), &[words.to_vec()]);
+    assert_eq!(read(&words).unwrap(), made);
+    assert!(matches!(read(&words[..7]), Err(PartsError::Words { rank: 0, .. })));
+    assert!(matches!(read(&[&words[..], &[0]].concat()), Err(PartsError::Words { rank: 0, .. })));
+    let mut wrong = words.clone();
+    wrong[0] = u32::MAX;
+    assert_eq!(read(&wrong).unwrap_err(), PartsError::Lists { rank: 0, row: 0 });
 }

@@ -10,11 +10,13 @@ use anyhow::{Result, anyhow};
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_cluster::{
-    Cluster, ClusterError, Exchange, FinestNumbers, Orders, PageReader, Report, agree, are_alike, in_whole,
-    orders, same_everywhere,
+    Cluster, ClusterError, Exchange, FinestNumbers, FrameOfAll, Orders, PageReader, Report, agree, are_alike,
+    in_whole, orders, same_everywhere,
 };
 use isinglass_core::camera::Camera;
 use isinglass_core::cancel::Wanted;
+use isinglass_core::codec::blocks::Reference;
+use isinglass_core::codec::{CodecError, Coding, EncodedFrame, MAX_CHUNKS};
 use isinglass_core::kernels::lens::{View, mean_picture};
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
@@ -22,13 +24,14 @@ use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{
-    GHOSTS, Histogram, Lighting, PageSet, PageView, Paging, PartProgress, PlanKey, Split, Volume, VoxelBox,
+    AskedPoints, FoundPoints, GHOSTS, Histogram, Lighting, PageSet, PageView, Paging, PartProgress, PlanKey,
+    Slice, SliceSpec, Split, Volume, VoxelBox,
 };
 use isinglass_formats::{
     LEAST_FOR_PAGES, OpenOptions, OpenedScene, Outline, Region, Selection, finest_numbers, open, open_paged,
     outline, scene_of,
 };
-use isinglass_render::{Backend, PartRenderer, Renderer, Workers};
+use isinglass_render::{Backend, FrameElsewhere, PartRenderer, Renderer, RowsElsewhere, Workers};
 use isinglass_server::Pager;
 use serde_json::{Value, json};
 
@@ -147,15 +150,17 @@ impl Together {
             return Ok(cluster.help(&scene)?);
         }
         let (orders, queue) = orders();
-        let workers = SeveralProcesses { orders: orders.clone(), devices: description(&devices) };
+        let workers =
+            SeveralProcesses { orders: orders.clone(), devices: description(&devices), num: devices.len() };
         let volume = scene.whole().clone();
+        let own = volume.clone();
         drop(scene);
         std::thread::scope(|scope| {
             let serving = scope.spawn(move || {
                 let _end = EndOnDrop(orders);
                 serve(volume, look, Backend::Workers(Arc::new(workers)), pager)
             });
-            if let Err(lost) = cluster.work_on(queue) {
+            if let Err(lost) = cluster.work_on(queue, &own) {
                 self.give_up(&lost);
             }
             serving.join().unwrap_or_else(|_| Err(anyhow!("the server has failed")))
@@ -310,11 +315,22 @@ impl PageReader for OwnPages {
 struct SeveralProcesses {
     orders: Orders,
     devices: String,
+    num: usize,
 }
 
 impl Workers for SeveralProcesses {
-    fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame> {
-        self.orders.generate(scene, header, wanted)
+    fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<FrameElsewhere> {
+        let made = self.orders.generate(scene, header, wanted)?;
+        let (header, num_segments) = (*made.header(), made.num_segments());
+        Some(FrameElsewhere { header, num_segments, rows: Arc::new(RowsOfAll { made, num: self.num }) })
+    }
+
+    fn slice(&self, spec: &SliceSpec) -> Option<Slice> {
+        self.orders.slice(*spec)
+    }
+
+    fn values(&self, asked: AskedPoints) -> Option<FoundPoints> {
+        self.orders.values(asked)
     }
 
     fn render_rows(&self, scene: &Scene, view: &View, rows: Range<u32>) -> Option<Picture> {
@@ -323,6 +339,32 @@ impl Workers for SeveralProcesses {
 
     fn description(&self) -> String {
         self.devices.clone()
+    }
+}
+
+/// A frame whose rows so many processes have.
+struct RowsOfAll {
+    made: FrameOfAll,
+    num: usize,
+}
+
+impl RowsElsewhere for RowsOfAll {
+    fn encode(
+        &self,
+        header: &FrameHeader,
+        mut coding: Coding,
+        is_thinned: bool,
+        reference: Option<&Arc<Reference>>,
+    ) -> Result<(EncodedFrame, Option<Arc<Reference>>), CodecError> {
+        if let Coding::Blocks(settings) = &mut coding {
+            // Each process codes at least one band.
+            settings.max_bands = settings.max_bands.max(self.num.min(MAX_CHUNKS) as u8);
+        }
+        self.made.encode(header, coding, is_thinned, reference)
+    }
+
+    fn gather(&self) -> Option<LayeredFrame> {
+        self.made.gather()
     }
 }
 

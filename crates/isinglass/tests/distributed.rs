@@ -1,4 +1,4 @@
-//! Do several processes under mpirun show what one shows, and do all of them end where one fails?
+//! Do several processes under mpirun show what one shows, answer what one answers, and do all end where one fails?
 //!
 //! These tests need a program with the feature `distributed`, and mpirun.
 
@@ -10,6 +10,13 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use common::{Bench, Running};
+use glam::Vec3;
+use isinglass_core::camera::{Intrinsics, Pose};
+use isinglass_core::cancel::ALWAYS;
+use isinglass_core::volume::procedural::Builtin;
+use isinglass_core::volume::{SlabMode, Slice, SlicePlane, SliceSpec};
+use isinglass_core::wire::{ProbeRequest, ProfileRequest};
+use isinglass_net::{Client, ClientOptions};
 
 const BINARY: &str = env!("CARGO_BIN_EXE_isinglass");
 
@@ -290,6 +297,63 @@ fn processes_read_the_pages_of_their_parts() {
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     let ours: Vec<_> = text.lines().filter(|line| line.starts_with("isinglass")).collect();
     assert!(ours.len() == 1 && ours[0].contains("expected at least 128 MiB"), "{text}");
+}
+
+/// Asks again and again, for a minute at most.
+fn wait_for<T>(what: &str, mut ask: impl FnMut() -> Option<T>) -> T {
+    let since = Instant::now();
+    loop {
+        if let Some(found) = ask() {
+            return found;
+        }
+        assert!(since.elapsed() < Duration::from_secs(60), "{what} does not come");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn slices_and_values_of_several_processes_are_those_of_the_whole() {
+    let bench = Bench::new();
+    let Some((mut server, link)) = serve(&bench, 4, "builtin:shells@40 --end-after-last 1s") else { return };
+    let volume = Builtin::Shells.volume(40);
+    let link = link.parse().expect("a link");
+    let client = Client::connect(&link, ClientOptions::default()).expect("the viewer connects");
+    // Frames of a moving camera are made beside.
+    let size = Intrinsics::perspective(128, 96, 0.6);
+    let turn = |i: usize| client.set_pose(Pose::orbit(Vec3::ZERO, 0.1 * i as f32, 0.2, 3.0), size);
+    let id = turn(0);
+    wait_for("a frame", || client.latest_frame().filter(|frame| frame.frame.header.pose == id));
+    let specs = [0, 1, 2].map(|axis| SliceSpec {
+        plane: SlicePlane::Axis { axis, index: 20 },
+        thickness: 0.0,
+        mode: SlabMode::Mean,
+    });
+    let mut slices = Vec::new();
+    for (i, spec) in specs.into_iter().enumerate() {
+        turn(i + 1);
+        client.talk().slices.want(&[(spec, false)]);
+        let found = wait_for("a slice", || client.talk().slices.get(&spec));
+        assert_eq!(Some(&*found), Slice::of(&volume, &spec, ALWAYS).as_ref());
+        slices.push(found);
+    }
+    assert!(*slices[0] != *slices[1], "control: slices differ");
+    let ends = [volume.bounds().min * 0.9, volume.bounds().max * 0.8];
+    for i in 0..5 {
+        turn(i + 4);
+        let point = ends[0].lerp(ends[1], i as f32 / 4.0);
+        let id = client.talk().probe.ask(point.to_array());
+        let found = wait_for("a value", || client.talk().probe.answer().filter(|a| a.id == id).copied());
+        let expected = ProbeRequest { id, point: point.to_array() }.answer(&mut &volume);
+        assert_eq!(found, expected);
+        assert!(found.voxel.is_some());
+    }
+    let ends = ends.map(|end| end.to_array());
+    let id = client.talk().profile.ask(ends, 40);
+    let found = wait_for("a profile", || client.talk().profile.answer().filter(|a| a.id == id).cloned());
+    let expected = ProfileRequest { id, ends, num_points: 40 }.answer(&mut &volume);
+    assert!(found == expected && found.values.iter().all(Option::is_some));
+    drop(client);
+    assert!(ended(&mut server.0).success(), "all end when no viewer is left");
 }
 
 /// The number of a process that mpirun has started and that has been at work for a moment.

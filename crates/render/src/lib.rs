@@ -4,6 +4,7 @@
 //! `isinglass-gpu`, their twins in `isinglass-core`.
 
 mod devices;
+mod made;
 mod parts;
 
 use std::ops::Range;
@@ -21,10 +22,12 @@ use isinglass_core::kernels::raycast::{self, CastOptions, Raycaster};
 use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
+use isinglass_core::volume::{AskedPoints, FoundPoints, Slice, SliceSpec};
 
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer, GpuReprojector};
 
 pub use devices::{Devices, GpuCount};
+pub use made::{FrameElsewhere, MadeFrame, RowsElsewhere};
 pub use parts::PartRenderer;
 
 /// The user's choice of a backend.
@@ -74,10 +77,16 @@ impl FromStr for BackendChoice {
 pub trait Workers: Send + Sync {
     /// A layered frame with `header.k` segments per list on average. `None` when it is no longer wanted, or the processes
     /// have ended.
-    fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame>;
+    fn generate(&self, scene: &Scene, header: FrameHeader, wanted: Wanted<'_>) -> Option<FrameElsewhere>;
 
     /// Some rows of the picture of a view; `None` if the processes have ended.
     fn render_rows(&self, scene: &Scene, view: &View, rows: Range<u32>) -> Option<Picture>;
+
+    /// A slice of the whole volume; `None` if the processes have ended.
+    fn slice(&self, spec: &SliceSpec) -> Option<Slice>;
+
+    /// What the whole volume has at points; `None` if the processes have ended.
+    fn values(&self, asked: AskedPoints) -> Option<FoundPoints>;
 
     /// What they are, such as `cpu of 4 processes`.
     fn description(&self) -> String;
@@ -157,6 +166,11 @@ impl Backend {
         }
     }
 
+    /// The processes, if it runs in several.
+    pub fn workers(&self) -> Option<&Arc<dyn Workers>> {
+        if let Self::Workers(workers) = self { Some(workers) } else { None }
+    }
+
     /// A renderer of one scene.
     pub fn renderer(&self, scene: Scene) -> Result<Renderer, GpuError> {
         Ok(match self {
@@ -231,6 +245,10 @@ impl SharedScene {
     fn render(&self, view: &View) -> Picture {
         self.render_rows(view, 0..view.basis.height as u32)
     }
+
+    fn generate_while(&self, header: FrameHeader, wanted: Wanted<'_>) -> Option<LayeredFrame> {
+        MadeFrame::Elsewhere(self.workers.generate(&self.scene, header, wanted)?).gathered()
+    }
 }
 
 /// A scene on the CPU, with the budget of its frames.
@@ -261,7 +279,7 @@ pub enum Piece {
     /// More pieces follow.
     Unfinished,
     /// The frame is there.
-    Whole(LayeredFrame),
+    Whole(MadeFrame),
     /// The frame exceeds its number of segments, and would have about so many.
     TooLarge(usize),
     /// It was given up.
@@ -371,7 +389,7 @@ impl Renderer {
                 Ok(renderer.generate_while(header, ALWAYS).unwrap_or_else(|| LayeredFrame::empty(header)))
             }
             Self::Workers(shared) => {
-                let made = shared.workers.generate(&shared.scene, header, ALWAYS);
+                let made = shared.generate_while(header, ALWAYS);
                 Ok(made.unwrap_or_else(|| LayeredFrame::empty(header)))
             }
         }
@@ -388,7 +406,7 @@ impl Renderer {
             Self::Gpu(renderer) => renderer.generate_while(header, wanted),
             Self::Cpu(_) | Self::Workers(_) if !header.camera.is_valid() => Err(GpuError::Camera),
             Self::Cpu(renderer) => Ok(renderer.generate_while(header, wanted)),
-            Self::Workers(shared) => Ok(shared.workers.generate(&shared.scene, header, wanted)),
+            Self::Workers(shared) => Ok(shared.generate_while(header, wanted)),
         }
     }
 }
@@ -418,7 +436,13 @@ impl Renderer {
     ) -> Result<Piece, GpuError> {
         let (Self::Cpu(renderer), Some(Rows { scene, number, frame: made })) = (&mut *self, &mut frame.rows)
         else {
-            let made = self.generate_while(frame.header, wanted)?;
+            let made = match self {
+                Self::Workers(shared) => {
+                    let made = shared.workers.generate(&shared.scene, frame.header, wanted);
+                    made.map(MadeFrame::Elsewhere)
+                }
+                here => here.generate_while(frame.header, wanted)?.map(MadeFrame::Here),
+            };
             return Ok(match made {
                 Some(made) if made.num_segments() > max_segments => Piece::TooLarge(made.num_segments()),
                 made => made.map_or(Piece::GivenUp, Piece::Whole),
@@ -434,7 +458,7 @@ impl Renderer {
             Making::TooLarge => Piece::TooLarge(made.expected_segments()),
             Making::Whole => {
                 let empty = UnfinishedFrame::new(scene, frame.header);
-                Piece::Whole(std::mem::replace(made, empty).finish(budget))
+                Piece::Whole(MadeFrame::Here(std::mem::replace(made, empty).finish(budget)))
             }
         })
     }

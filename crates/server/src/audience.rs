@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use isinglass_core::layer::LayeredFrame;
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::wire::{PoseRequest, ViewerEntry};
+use isinglass_render::MadeFrame;
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
 
@@ -47,7 +47,7 @@ pub(crate) struct LedFrame {
     pub(crate) request: PoseRequest,
     pub(crate) look: Look,
     pub(crate) scene: SceneNumber,
-    pub(crate) frame: LayeredFrame,
+    pub(crate) frame: MadeFrame,
     pub(crate) is_draft: bool,
     pub(crate) _held: Held,
 }

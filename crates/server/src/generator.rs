@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::march::{LitPage, Scene};
-use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::Occlusion;
 use isinglass_gpu::GpuError;
 use isinglass_net::AfterWork;
-use isinglass_render::{Devices, FrameInPieces};
+use isinglass_render::{Devices, FrameInPieces, MadeFrame};
 use rayon::ThreadPool;
 use tokio::sync::{Semaphore, oneshot};
 
@@ -36,7 +36,7 @@ pub(crate) struct Generator {
 }
 
 pub(crate) struct Generated {
-    pub(crate) frame: LayeredFrame,
+    pub(crate) frame: MadeFrame,
     /// Its memory, which is free again when this is dropped.
     pub(crate) _held: Held,
     /// Time for marching and layering, without that of others in between, µs.

@@ -35,7 +35,7 @@ use isinglass_core::volume::Volume;
 use isinglass_core::wire::Choices;
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, BindError, Clock, Identity, Journal, Link, Server};
-use isinglass_render::Devices;
+use isinglass_render::{Backend, Devices};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
@@ -195,7 +195,8 @@ pub fn start_as(
     };
     let dispatch = generator.dispatch.clone();
     let coders = pipeline::coders()?;
-    let slice_makers = Arc::new(slices::SliceMakers::new()?);
+    let workers = devices.each().iter().find_map(Backend::workers).cloned();
+    let slice_makers = Arc::new(slices::SliceMakers::new(workers.clone())?);
     let common = serving::Common {
         generator,
         present,
@@ -205,6 +206,7 @@ pub fn start_as(
         after_work,
         coders,
         slice_makers,
+        workers,
         memory,
         counters: counters.clone(),
         audience: Audience::default(),

@@ -202,7 +202,7 @@ impl Pipeline {
 
     /// Encodes a frame on a thread for blocking work.
     pub(crate) fn code(&mut self, generated: Generated, mut ticket: Ticket) {
-        let header = generated.frame.header;
+        let header = *generated.frame.header();
         if let Coding::Blocks(settings) = &mut ticket.sending.coding {
             settings.max_bands = settings.max_bands.max(self.coders.current_num_threads() as u8);
         }
@@ -215,11 +215,9 @@ impl Pipeline {
         let task = tokio::task::spawn_blocking(move || {
             let started = Instant::now();
             let wanted = || ticket.wish.holds();
-            let (coding, reference) = (&ticket.sending.coding, ticket.reference.as_deref());
-            let work = || match ticket.sending.is_thinned {
-                true => coding.encode_while(&generated.frame.thinned(), reference, &wanted),
-                false => coding.encode_while(&generated.frame, reference, &wanted),
-            };
+            let Sending { coding, is_thinned, .. } = ticket.sending;
+            let work =
+                || generated.frame.encode_while(coding, is_thinned, ticket.reference.as_ref(), &wanted);
             let (encoded, reference) = after_work.run(Work::Encode, || coders.install(work))?;
             let encode_micros = started.elapsed().as_micros() as u64;
             Ok(Coded { ticket, generated, encoded, reference, encode_micros })
@@ -229,7 +227,7 @@ impl Pipeline {
 
     /// A frame is coded and waits for the network.
     pub(crate) fn put_coded(&mut self, coded: Coded) {
-        let header = coded.generated.frame.header;
+        let header = *coded.generated.frame.header();
         self.journal.stamp(header.frame, Stage::Coded);
         self.journal.add_bytes(header.frame, coded.num_bytes() as u64);
         self.coded = Some(coded);
@@ -239,7 +237,7 @@ impl Pipeline {
     pub(crate) fn send(&mut self) {
         let Some(coded) = self.coded.take_if(|_| self.sending.is_none()) else { return };
         let Coded { ticket, generated, encoded, encode_micros, .. } = coded;
-        let header = generated.frame.header;
+        let header = *generated.frame.header();
         self.schedule.handle_begun(self.now_micros(), Station::Send, lists(&header));
         if !ticket.sending.is_finer {
             self.control.talk().link.report(ServerStats {
@@ -323,7 +321,7 @@ impl Pipeline {
         let is_exact = |t: &Ticket| matches!(t.sending.coding, Coding::Exact);
         if let Some(coded) = self.coded.take_if(|c| is_exact(&c.ticket) && is_outdated(&c.ticket)) {
             self.schedule.handle_dropped(Station::Send);
-            self.journal.give_up(coded.generated.frame.header.frame);
+            self.journal.give_up(coded.generated.frame.header().frame);
         }
         if let Some(at) = self.sending.take_if(|at| is_exact(&at.of) && is_outdated(&at.of)) {
             self.schedule.handle_given_up(Station::Send);

@@ -272,7 +272,7 @@ impl RenderThread {
                 self.after_work.note(Work::Generate, Duration::from_micros(*spent_micros));
                 *spent_micros += ended.elapsed().as_micros() as u64;
                 let mut held = order.held.take();
-                held.set(bytes_of(frame.num_segments(), frame.offsets.len() - 1));
+                held.set(bytes_of(frame.num_segments(), frame.num_lists()));
                 let (generate_micros, is_draft) = (*spent_micros, begun.is_draft);
                 let occlusion = begun.occlusion.take();
                 let pages = begun.pages.take().map(|pages| match &self.pager {

@@ -17,6 +17,7 @@ use isinglass_core::session::rate::CodingPlan;
 use isinglass_core::session::selection::Load;
 use isinglass_core::volume::Occlusion;
 use isinglass_net::{AfterWork, Journal, Server, Session};
+use isinglass_render::Workers;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
@@ -49,6 +50,8 @@ pub(crate) struct Common {
     pub(crate) coders: Coders,
     /// One for each slice that may be made at a time.
     pub(crate) slice_makers: Arc<SliceMakers>,
+    /// The processes that have the volume, if they are several.
+    pub(crate) workers: Option<Arc<dyn Workers>>,
     pub(crate) memory: FrameMemory,
     pub(crate) counters: Counters,
     pub(crate) audience: Audience,
@@ -165,7 +168,7 @@ impl Viewer {
         );
         let (frames, control) = (session.frames.clone(), session.control.clone());
         let slices = Slices::new(common.slice_makers.clone(), frames.clone(), control.clone());
-        let inquiries = Inquiries::new(control.clone());
+        let inquiries = Inquiries::new(control.clone(), common.workers.clone());
         let pipeline = Pipeline::new(frames, control, session.journal.clone(), &common);
         let held = common.memory.nothing();
         let page_changes = present.pager.as_ref().map(Pager::changes);

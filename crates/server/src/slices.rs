@@ -7,6 +7,7 @@ use isinglass_core::volume::{PAGE_CELLS, Pyramid, Slice, SliceSpec, Volume};
 use isinglass_core::wire::SliceRequest;
 use isinglass_core::wire::slice::encode_slice;
 use isinglass_net::server::{Control, FrameSender};
+use isinglass_render::Workers;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::{Semaphore, watch};
 use tokio::task::{AbortHandle, JoinSet};
@@ -24,17 +25,19 @@ pub(crate) struct SliceMakers {
     /// Reads pages for slices, one slice at a time.
     readers: ThreadPool,
     reading: Arc<Semaphore>,
+    /// The processes that have the volume, if they are several.
+    workers: Option<Arc<dyn Workers>>,
 }
 
 impl SliceMakers {
-    pub(crate) fn new() -> Result<Self, ServeError> {
+    pub(crate) fn new(workers: Option<Arc<dyn Workers>>) -> Result<Self, ServeError> {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let threads = ThreadPoolBuilder::new().num_threads(cores.div_ceil(4));
         let threads = threads.thread_name(|i| format!("slice {i}")).build()?;
         let readers = ThreadPoolBuilder::new().num_threads(cores.clamp(1, MAX_READERS));
         let readers = readers.thread_name(|i| format!("slice page {i}")).build()?;
         let (turns, reading) = (Arc::new(Semaphore::new(MAX_MAKING)), Arc::new(Semaphore::new(1)));
-        Ok(Self { threads, turns, readers, reading })
+        Ok(Self { threads, turns, readers, reading, workers })
     }
 }
 
@@ -163,11 +166,15 @@ impl SliceJob {
             let _turn = turn;
             let threads = if level.is_some() { &makers.readers } else { &makers.threads };
             let volume = present.lights.volume();
-            let slice = threads.install(|| match &present.pager {
-                Some(pager) => pager.with_values(volume, level, &wanted, |values| {
+            let slice = threads.install(|| match (&makers.workers, &present.pager) {
+                // They make all of it once they have begun.
+                (Some(workers), None) => {
+                    workers.slice(&request.spec).filter(|_| wanted()).map(|slice| (slice, 0))
+                }
+                (_, Some(pager)) => pager.with_values(volume, level, &wanted, |values| {
                     Slice::of_pages(values, &request.spec, &wanted)
                 }),
-                None => Slice::of(volume, &request.spec, &wanted).map(|slice| (slice, 0)),
+                (None, None) => Slice::of(volume, &request.spec, &wanted).map(|slice| (slice, 0)),
             });
             let made = slice.map(|(slice, coarsest)| {
                 let is_draft = coarsest > 0 && !is_last;

@@ -80,6 +80,14 @@ pub enum CodecError {
     /// Blocks correct their picture by *over*, so they cannot hold a projection.
     #[error("a frame of mode {0} in blocks, expected the exact coding")]
     Projection(Mode),
+    /// Another process could not encode its part of the frame.
+    #[error("rank {rank}: {problem}")]
+    Elsewhere {
+        /// The process.
+        rank: usize,
+        /// Why.
+        problem: String,
+    },
     /// Chunks are missing.
     #[error("{found} chunks of a frame, expected {expected}")]
     Incomplete {

@@ -19,6 +19,7 @@
 //! | `chunk` | the chunks of a frame |
 //! | `exact/` | the exact coding |
 //! | `blocks/` | the coding in blocks |
+//! | `shares` | frames that several processes encode together |
 
 mod bands;
 pub mod blocks;
@@ -28,11 +29,12 @@ mod exact;
 mod header;
 mod limits;
 mod portable_math;
+mod shares;
 
 use std::sync::Arc;
 
 use crate::cancel::{ALWAYS, Wanted};
-use crate::layer::LayeredFrame;
+use crate::layer::{FrameHeader, LayeredFrame};
 use crate::mode::Mode;
 use blocks::{Reference, References};
 
@@ -40,6 +42,7 @@ pub use chunk::{Chunk, EncodedFrame};
 pub use error::CodecError;
 pub use header::{ChunkHeader, HEADER_BYTES, TILE, peek};
 pub use limits::{MAX_CHUNK_BYTES, MAX_CHUNK_SEGMENTS, MAX_CHUNKS, MAX_FRAME_LISTS, MAX_FRAME_SEGMENTS};
+pub use shares::{CodedBand, FrameBands};
 
 /// How a frame is coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -85,6 +88,35 @@ impl Coding {
             }
             Self::Blocks(settings) => blocks::encode_while(frame, settings, reference, wanted)
                 .map(|(encoded, reference)| (encoded, Some(Arc::new(reference)))),
+        }
+    }
+}
+
+/// What several processes need to code a frame together. Each has some of its rows.
+impl Coding {
+    /// The work for each row of tiles or of blocks of a frame. Rows that are elsewhere are empty here; the sums of all
+    /// processes are those of the frame.
+    pub fn work_of_rows(&self, frame: &LayeredFrame) -> Vec<usize> {
+        match self {
+            Self::Exact => exact::work_of_rows(frame),
+            Self::Blocks(_) => blocks::work_of_rows(frame),
+        }
+    }
+
+    /// The bands of a frame, given the work of each of its rows. See [`Coding::encode`] for the reference.
+    ///
+    /// # Errors
+    /// On frames above the limits of this module, and on projections in blocks.
+    pub fn bands<'a>(
+        &self,
+        frame: FrameHeader,
+        reference: Option<&'a Reference>,
+        work: &[usize],
+    ) -> Result<FrameBands<'a>, CodecError> {
+        match self {
+            Self::Exact => FrameBands::exact(frame, work),
+            Self::Blocks(_) if frame.mode.is_projection() => Err(CodecError::Projection(frame.mode)),
+            Self::Blocks(settings) => FrameBands::in_blocks(frame, settings, reference, work),
         }
     }
 }

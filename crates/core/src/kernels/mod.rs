@@ -9,5 +9,6 @@ pub mod march;
 pub mod part_pictures;
 pub mod part_rays;
 mod part_rows;
+pub mod part_slices;
 pub use part_rows::{PartsError, ROWS_IN_BLOCK, rows_of};
 pub mod raycast;

@@ -41,6 +41,14 @@ pub enum PartsError {
     /// A process sent something else than the cells of the light that its part touches.
     #[error("a process sent other cells of the light than those of its part")]
     Cells,
+    /// A list of a frame ends before it begins.
+    #[error("process {rank} sent lists of row {row} whose ends are in no order")]
+    Lists {
+        /// The sender.
+        rank: usize,
+        /// The row.
+        row: u32,
+    },
     /// A process sent something about a pixel that its part does not show.
     #[error("process {rank} sent {found} items in row {row}, and {expected} of them lie in its part")]
     Stray {

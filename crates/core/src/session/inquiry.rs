@@ -119,10 +119,22 @@ impl<Q: Question> InquiryServer<Q> {
 
     /// Answers the question from the shown volume, and returns it.
     pub fn answer(&mut self, values: &mut dyn ValuesAt) -> Option<Q> {
-        let question = self.asked.take()?;
-        self.answered = Some(question.id());
+        let question = self.take()?;
         self.answer = Some(question.answer_from(values));
         Some(question)
+    }
+
+    /// Takes the question, whose answer comes later.
+    pub fn take(&mut self) -> Option<Q> {
+        let question = self.asked.take()?;
+        self.answered = Some(question.id());
+        Some(question)
+    }
+
+    /// The answer to a question that was taken. It is sent even if another was asked meanwhile, so that something is seen
+    /// while questions come faster than answers.
+    pub fn handle_answer(&mut self, answer: Q::Answer) {
+        self.answer = Some(answer);
     }
 
     /// Finer values are there. They are sent if nothing else was asked meanwhile.

@@ -16,11 +16,13 @@ mod opacities;
 mod page_slice;
 mod page_values;
 mod pages;
+mod part_values;
 pub mod procedural;
 mod pyramid;
 mod residency;
 mod shade;
 mod slice;
+mod slice_sums;
 mod split;
 mod world;
 
@@ -38,11 +40,13 @@ pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use opacities::{opacity_table, opacity_volume};
 pub use page_values::{FoundVoxel, PageCursor, PageFinder, PageReader, PageValues, ValuesAt};
 pub use pages::{Page, PageSet, PageView, PlanKey, page_of};
+pub use part_values::{AskedPoint, AskedPoints, FoundPoint, FoundPoints, PartValues};
 pub use pyramid::{
     Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageRanges, PageSource, PageVoxels,
     Paging, Pyramid, PyramidLevel, VoxelKind,
 };
 pub use residency::{PagePlan, PageProgress, PartProgress, Residency};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};
+pub use slice_sums::SliceSums;
 pub use split::{GHOSTS, PointLine, Split, SplitError};
 pub use world::{VoxelBox, Whole, sample_places};

@@ -9,9 +9,9 @@ use rayon::prelude::*;
 use super::page_values::{PageCursor, PageValues, SLACK};
 use super::pyramid::PAGE_CELLS;
 use super::slice::{
-    MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceCoding, SliceGrid, SlicePlane, SliceSpec, across, add,
-    end,
+    MAX_LAYERS, MAX_SLICE_SIDE, SlabMode, Slice, SliceCoding, SliceGrid, SlicePlane, SliceSpec, across,
 };
+use super::slice_sums::SlabAdder;
 use crate::cancel::Wanted;
 
 /// The layers of a slab, over indices of the finest level.
@@ -124,6 +124,7 @@ impl Tile<'_> {
         mode: SlabMode,
     ) {
         let spacing = values.base().finest_spacing();
+        let adder = SlabAdder::of(values.base(), mode);
         let mut nums = vec![0u32; self.columns.len() * self.rows.len()];
         for n in 0..layers.num() {
             let mut nums = nums.iter_mut();
@@ -131,8 +132,7 @@ impl Tile<'_> {
                 let row = (y - self.rows.start) as usize * self.width;
                 for (x, num) in self.columns.clone().zip(&mut nums) {
                     let Some(index) = layers.index(cursor, spacing, [x, y], n) else { continue };
-                    add(&mut self.band[row + x as usize], cursor.stored(index), *num as usize, mode);
-                    *num += 1;
+                    adder.add(&mut self.band[row + x as usize], num, cursor.stored(index));
                 }
             }
         }
@@ -141,10 +141,7 @@ impl Tile<'_> {
         for y in 0..self.rows.len() {
             for x in self.columns.clone() {
                 let value = &mut self.band[y * self.width + x as usize];
-                match nums.next() {
-                    None | Some(0) => *value = least,
-                    Some(num) => end(std::slice::from_mut(value), num as usize, mode),
-                }
+                *value = mode.ended(*value, nums.next().unwrap_or(0)).unwrap_or(least);
             }
         }
     }

@@ -29,29 +29,8 @@ pub trait ValuesAt {
     fn between(&mut self, point: Vec3) -> Option<f32>;
 }
 
-impl ValuesAt for &Volume {
-    fn voxel(&mut self, point: Vec3) -> Option<FoundVoxel> {
-        let bounds = self.bounds();
-        if !(point.cmpge(bounds.min).all() && point.cmple(bounds.max).all()) {
-            return None;
-        }
-        let at = point / self.spacing() + self.voxel_origin();
-        let dims = self.whole_dims();
-        let here: [u32; 3] = std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1));
-        if !self.holds(here) {
-            return None;
-        }
-        let index = if self.finest().is_some() { finest_voxel(self, point) } else { here };
-        Some(FoundVoxel { index, value: self.value_from_stored(self.stored_in_world(here)), level: 0 })
-    }
-
-    fn between(&mut self, point: Vec3) -> Option<f32> {
-        self.value_between(point)
-    }
-}
-
 /// Viewers know the finest level's voxels.
-fn finest_voxel(volume: &Volume, point: Vec3) -> [u32; 3] {
+pub(super) fn finest_voxel(volume: &Volume, point: Vec3) -> [u32; 3] {
     let (dims, at) = (volume.finest_dims(), (point - volume.bounds().min) / volume.finest_spacing());
     std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1))
 }

@@ -4,11 +4,9 @@
 //! has the mean, the greatest or the least of several such slices.
 
 use glam::Vec3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::grid::{Volume, Voxels};
-use crate::cancel::Wanted;
 use crate::space::MAX_COORDINATE;
 
 /// What a slab shows of the values across it.
@@ -181,26 +179,6 @@ impl Slice {
             SliceCodes::U16(codes) => 2 * codes.len(),
         }
     }
-
-    /// Makes a slice of a volume; `None` if nobody waits for it any more. Points outside the volume have the least
-    /// stored number.
-    ///
-    /// A level of a pyramid is cut as the finest level would be, by values between its voxels. Of a part of a volume,
-    /// the voxels that are not there have the least stored number.
-    ///
-    /// Codes of 8-bit and 16-bit voxels are the stored numbers. Means and oblique values of 8-bit voxels have 16 bits.
-    /// Floats are rounded to 65535 steps of their range.
-    pub fn of(volume: &Volume, spec: &SliceSpec, wanted: Wanted<'_>) -> Option<Self> {
-        let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
-        let grid = spec.grid(dims, spacing);
-        let coding = SliceCoding::of(volume, spec, volume.stored_range());
-        let stored = match volume.voxels() {
-            Voxels::U8(v) => values(volume, v, spec, &grid, wanted),
-            Voxels::U16(v) => values(volume, v, spec, &grid, wanted),
-            Voxels::F32(v) => values(volume, v, spec, &grid, wanted),
-        }?;
-        Some(coding.slice(volume, grid.size, &stored))
-    }
 }
 
 /// How stored numbers become codes.
@@ -238,156 +216,6 @@ impl SliceCoding {
         };
         let (value_scale, _) = volume.value_map();
         Slice { size, lo: volume.value_from_stored(lo), step: value_scale / scale, codes }
-    }
-}
-
-/// The stored values of a slice, row by row. Outside of the volume they are the least stored number.
-fn values<T: Copy + Into<f64> + Sync>(
-    volume: &Volume,
-    voxels: &[T],
-    spec: &SliceSpec,
-    grid: &SliceGrid,
-    wanted: Wanted<'_>,
-) -> Option<Vec<f64>> {
-    let [width, height] = grid.size.map(|side| side as usize);
-    let mut out = vec![0.0; width * height];
-    let (dims, spacing) = (volume.dims(), volume.spacing());
-    let rows = out.par_chunks_mut(width).enumerate();
-    match spec.plane {
-        SlicePlane::Axis { axis, index } if volume.finest().is_some() || volume.whole().is_some() => {
-            let least = f64::from(volume.stored_range().0);
-            let (dims, spacing) = (volume.finest_dims(), volume.finest_spacing());
-            let along = usize::from(axis.min(2));
-            let slab = spec.slab(index, dims[along], spacing[along]);
-            let layer = |k: usize| {
-                let plane = SlicePlane::Axis { axis, index: k as u32 };
-                SliceSpec { plane, ..*spec }.grid(dims, spacing)
-            };
-            let layers: Vec<SliceGrid> = slab.map(layer).collect();
-            rows.for_each(|(y, row)| {
-                if !wanted() {
-                    return;
-                }
-                for (x, value) in row.iter_mut().enumerate() {
-                    for (n, layer) in layers.iter().enumerate() {
-                        let stored = trilinear(volume, voxels, layer.point(x as f32, y as f32));
-                        add(value, stored.unwrap_or(least), n, spec.mode);
-                    }
-                }
-                end(row, layers.len(), spec.mode);
-            });
-        }
-        SlicePlane::Axis { axis, index } => {
-            let axis = usize::from(axis.min(2));
-            let slab = spec.slab(index, dims[axis], spacing[axis]);
-            let pitch = [1, dims[0] as usize, dims[0] as usize * dims[1] as usize];
-            let [a, b] = across(axis);
-            let steps = [a, b].map(|i| pitch[i]);
-            rows.for_each(|(y, row)| {
-                for (n, k) in slab.clone().enumerate() {
-                    if !wanted() {
-                        return;
-                    }
-                    let start = k * pitch[axis] + y * steps[1];
-                    for (x, value) in row.iter_mut().enumerate() {
-                        add(value, voxels[start + x * steps[0]].into(), n, spec.mode);
-                    }
-                }
-                end(row, slab.len(), spec.mode);
-            });
-        }
-        SlicePlane::Oblique { .. } => {
-            let bounds = volume.bounds();
-            let least = f64::from(volume.stored_range().0);
-            let finest = spacing.min_element();
-            // A thicker slab has no more of the volume.
-            let thickness = spec.thickness.min(2.0 * bounds.radius());
-            let layers = (thickness / finest).round().clamp(1.0, MAX_LAYERS) as usize;
-            let normal = grid.column.cross(grid.row).normalize_or_zero();
-            let aside = |n: usize| ((n as f32 + 0.5) / layers as f32 - 0.5) * thickness;
-            rows.for_each(|(y, row)| {
-                if !wanted() {
-                    return;
-                }
-                for (x, value) in row.iter_mut().enumerate() {
-                    let middle = grid.point(x as f32, y as f32);
-                    let mut num = 0;
-                    for n in 0..layers {
-                        let point = middle + normal * aside(n);
-                        if let Some(stored) = trilinear(volume, voxels, point) {
-                            add(value, stored, num, spec.mode);
-                            num += 1;
-                        }
-                    }
-                    match num {
-                        0 => *value = least,
-                        num => end(std::slice::from_mut(value), num, spec.mode),
-                    }
-                }
-            });
-        }
-    }
-    wanted().then_some(out)
-}
-
-/// Adds the value of layer `n`.
-pub(super) fn add(sum: &mut f64, value: f64, n: usize, mode: SlabMode) {
-    *sum = match mode {
-        _ if n == 0 => value,
-        SlabMode::Mean => *sum + value,
-        SlabMode::Max => sum.max(value),
-        SlabMode::Min => sum.min(value),
-    };
-}
-
-/// Ends a sum of `num` layers.
-pub(super) fn end(row: &mut [f64], num: usize, mode: SlabMode) {
-    if mode == SlabMode::Mean && num > 1 {
-        row.iter_mut().for_each(|value| *value /= num as f64);
-    }
-}
-
-/// The stored number between voxel centres; beyond the outermost centres that of the nearest. None outside the volume,
-/// and where a part of one has no voxels.
-fn trilinear<T: Copy + Into<f64>>(volume: &Volume, voxels: &[T], point: Vec3) -> Option<f64> {
-    let (dims, spacing, bounds) = (volume.dims(), volume.spacing(), volume.bounds());
-    // A point on a face may be rounded to the outside.
-    let slack = spacing * 1e-3;
-    if !(point.cmpge(bounds.min - slack).all() && point.cmple(bounds.max + slack).all()) {
-        return None;
-    }
-    let at = point / spacing + volume.voxel_origin() - 0.5;
-    let mut low = [0usize; 3];
-    let mut high = [0usize; 3];
-    let mut share = [0f64; 3];
-    let (first, whole) = (volume.first(), volume.whole_dims());
-    for i in 0..3 {
-        let last = dims[i] - 1;
-        let x = at[i].clamp(0.0, (whole[i] - 1) as f32) - first[i] as f32;
-        if !(0.0..=last as f32).contains(&x) {
-            return None;
-        }
-        low[i] = x as usize;
-        high[i] = (low[i] + 1).min(last as usize);
-        share[i] = f64::from(x) - low[i] as f64;
-    }
-    let [nx, ny, _] = dims.map(|n| n as usize);
-    let voxel = |x: usize, y: usize, z: usize| -> f64 { voxels[(z * ny + y) * nx + x].into() };
-    let mix = |a: f64, b: f64, t: f64| a + (b - a) * t;
-    let along = |y: usize, z: usize| mix(voxel(low[0], y, z), voxel(high[0], y, z), share[0]);
-    let face = |z: usize| mix(along(low[1], z), along(high[1], z), share[1]);
-    Some(mix(face(low[2]), face(high[2]), share[2]))
-}
-
-impl Volume {
-    /// The value at a point of world space, mixed from the eight voxels around it; none outside the volume.
-    pub fn value_between(&self, point: Vec3) -> Option<f32> {
-        let stored = match self.voxels() {
-            Voxels::U8(v) => trilinear(self, v, point),
-            Voxels::U16(v) => trilinear(self, v, point),
-            Voxels::F32(v) => trilinear(self, v, point),
-        }?;
-        Some(self.value_from_stored(stored as f32))
     }
 }
 

@@ -70,10 +70,10 @@ impl Volume {
         self.whole().map_or([0; 3], |whole| whole.first)
     }
 
-    /// Whether a voxel of the whole volume is here.
-    pub fn holds(&self, voxel: [u32; 3]) -> bool {
+    /// The voxels of the whole volume that are here.
+    pub fn held(&self) -> VoxelBox {
         let first = self.first();
-        VoxelBox { first, end: [0, 1, 2].map(|axis| first[axis] + self.dims()[axis]) }.contains(voxel)
+        VoxelBox { first, end: [0, 1, 2].map(|axis| first[axis] + self.dims()[axis]) }
     }
 
     /// The stored number at the coordinates of the whole, clamped to the voxels that are here.

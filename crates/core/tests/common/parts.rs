@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use isinglass_core::kernels::layering::parts::{
-    AskedFrame, frame_from_words, pieces, steps, threshold, unite, words_from_rows,
+    AskedFrame, frame_from_words, frame_of_rows, pieces, steps, threshold, unite, words_from_rows,
 };
 use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::kernels::rows_of;
@@ -59,14 +59,15 @@ impl Parts {
     pub(crate) fn frame(&self, header: FrameHeader) -> LayeredFrame {
         let frame = self.asked(header);
         let (num, height) = (self.scenes.len(), header.camera.intrinsics.height);
-        let rows = (0..num).map(|owner| {
-            let rows = rows_of(owner, num, height);
-            let lists = self.pieces(&frame, &rows);
-            let made = unite(&self.scenes[owner], &self.split, &frame, &rows, &lists);
-            words_from_rows(&made.expect("pieces of all parts"))
-        });
-        let words: Vec<_> = rows.collect();
-        let made = frame_from_words(&frame, &words).expect("rows of all owners");
+        let rows: Vec<_> = (0..num).map(|owner| rows_of(owner, num, height)).collect();
+        let of_owner = |(owner, rows): (usize, &Vec<u32>)| {
+            let lists = self.pieces(&frame, rows);
+            let made = unite(&self.scenes[owner], &self.split, &frame, rows, &lists);
+            frame_of_rows(&frame, rows, made.expect("pieces of all parts"))
+        };
+        let of_owners: Vec<_> = rows.iter().enumerate().map(of_owner).collect();
+        let words: Vec<_> = of_owners.iter().zip(&rows).map(|(of, rows)| words_from_rows(of, rows)).collect();
+        let made = frame_from_words(of_owners[0].header, &rows, &words).expect("rows of all owners");
         made.validate().expect("a frame keeps its promises");
         made
     }

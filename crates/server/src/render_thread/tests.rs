@@ -56,7 +56,7 @@ async fn a_frame_stays_as_large_as_asked_while_there_is_memory() {
         let (reply, _answer) = oneshot::channel();
         let mut job = FrameJob { order, reply, begun: None, spent_micros: 0 };
         let frame = (0..1000).find_map(|_| thread.advance(&mut job, &|| true).unwrap()).unwrap().frame;
-        (frame.header.camera.intrinsics, frame.num_segments())
+        (frame.header().camera.intrinsics, frame.num_segments())
     };
     let (size, num_segments) = made(1 << 30);
     assert_eq!(size, asked);

@@ -91,9 +91,9 @@ impl Viewer {
     /// A frame of the leader as one of this viewer: it answers none of its poses.
     pub(super) fn led_frame(&self, asked: &mut Asked) -> Option<(Generated, Wish)> {
         let newest = self.led.as_ref()?.newest.as_ref()?;
-        let camera = newest.frame.header.camera;
+        let camera = newest.frame.header().camera;
         asked.header.camera = camera;
-        let bytes = bytes_of(newest.frame.num_segments(), newest.frame.offsets.len() - 1);
+        let bytes = bytes_of(newest.frame.num_segments(), newest.frame.num_lists());
         let held = self.common.memory.hold(bytes, 0);
         if held.bytes() < bytes {
             tracing::debug!("no memory for a frame of the leader");
@@ -101,7 +101,8 @@ impl Viewer {
         }
         let mut frame = newest.frame.clone();
         let FrameHeader { frame: number, look, .. } = asked.header;
-        frame.header = FrameHeader { frame: number, look, pose: PoseId(0), ..frame.header };
+        let header = frame.header_mut();
+        *header = FrameHeader { frame: number, look, pose: PoseId(0), ..*header };
         let generated = Generated {
             frame,
             _held: held,
@@ -116,7 +117,7 @@ impl Viewer {
     /// Shows a frame to those that follow this viewer.
     pub(super) fn lead(&self, asked: &Asked, generated: &Generated) {
         let frame = &generated.frame;
-        let bytes = bytes_of(frame.num_segments(), frame.offsets.len() - 1);
+        let bytes = bytes_of(frame.num_segments(), frame.num_lists());
         let held = self.common.memory.hold(bytes, 0);
         let is_of_look = asked.header.look == self.session.talk().look.version();
         if held.bytes() < bytes || !is_of_look {

@@ -156,7 +156,7 @@ impl Viewer {
             Ok(generated) => {
                 self.frames.handle_generated(generated.generate_micros);
                 // To keep to its memory, it may be smaller.
-                asked.header.camera = generated.frame.header.camera;
+                asked.header.camera = generated.frame.header().camera;
                 // Without light there is none, and a light that is switched on again begins with the former.
                 if let Some(occlusion) = &generated.occlusion {
                     self.occlusion = Some(occlusion.clone());
@@ -200,7 +200,7 @@ impl Viewer {
     fn code(&mut self, asked: Asked, generated: Generated) {
         let reference = self.sent.next(self.session.talk().chunks.reported()).cloned();
         let link = self.session.frames.link_state();
-        let mode = generated.frame.header.mode;
+        let mode = generated.frame.header().mode;
         let sending = self.frames.choose_coding(link, asked, mode, reference.is_some());
         self.pipeline.code(generated, Ticket { sending, reference, wish: Wish::default() });
     }
@@ -260,7 +260,7 @@ impl Viewer {
         let Some(sending) = sending else { return };
         let Some(sent) = self.resting.take() else { return };
         let mut generated = sent.generated;
-        generated.frame.header.frame = sending.asked.header.frame;
+        generated.frame.header_mut().frame = sending.asked.header.frame;
         // It may be too many frames ago by now.
         let reference = sent.ticket.reference.clone().filter(|r| self.sent.get(r.frame()).is_some());
         self.pipeline.code(generated, Ticket { sending, reference, ..sent.ticket });

@@ -36,7 +36,7 @@ impl FrameSizes {
     /// Notes a frame that was made for `look`.
     pub(crate) fn note_frame(&mut self, look: &Look, generated: &Generated) {
         let frame = &generated.frame;
-        let num_lists = frame.header.camera.intrinsics.num_pixels().max(1) as f64;
+        let num_lists = frame.num_lists().max(1) as f64;
         self.last = Some(Like {
             k: look.k,
             mode: look.mode,
@@ -76,6 +76,7 @@ mod tests {
     use isinglass_core::layer::{FrameHeader, LayeredFrame};
     use isinglass_core::space::Aabb;
     use isinglass_formats::load_transfer;
+    use isinglass_render::MadeFrame;
 
     use super::*;
     use crate::frame_memory::FrameMemory;
@@ -94,7 +95,7 @@ mod tests {
         frame.depth = vec![0; num];
         Generated {
             pages: None,
-            frame,
+            frame: MadeFrame::Here(frame),
             _held: FrameMemory::new(0).nothing(),
             generate_micros,
             is_draft: false,

@@ -8,7 +8,7 @@ pub(super) type Planes = (DepthPlane, DepthPlane);
 
 /// Rows of blocks.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Band {
+pub(in crate::codec) struct Band {
     /// Number of blocks in a row.
     pub(super) across: usize,
     /// All blocks, row by row.

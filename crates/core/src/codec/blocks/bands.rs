@@ -5,14 +5,12 @@ use super::super::limits::MAX_CHUNK_SEGMENTS;
 use super::model::{BLOCK, BLOCK_LISTS, blocks_along};
 use crate::layer::LayeredFrame;
 
-/// Where the bands of a frame end, in rows of blocks. If a band would have more blocks than a chunk may correct, all
-/// bands are equally high.
-pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Borders {
+/// Estimated work for each row of blocks of a frame.
+pub(in crate::codec) fn work_of_rows(frame: &LayeredFrame) -> Vec<usize> {
     let intrinsics = frame.header.camera.intrinsics;
     let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
-    let (across, down) = (blocks_along(intrinsics.width), blocks_along(intrinsics.height));
     let mut longest = vec![0; width];
-    let work: Vec<usize> = (0..down)
+    (0..blocks_along(intrinsics.height))
         .map(|y| {
             longest.fill(0);
             for row in y * BLOCK..((y + 1) * BLOCK).min(height) {
@@ -24,8 +22,14 @@ pub(super) fn borders(frame: &LayeredFrame, num_bands: u8) -> Borders {
             let of_block = |columns: &[u32]| columns.iter().fold(0, |most, length| most.max(*length));
             longest.chunks(BLOCK).map(|columns| work_of(of_block(columns))).sum()
         })
-        .collect();
-    let borders = Borders::sharing(&work, num_bands);
+        .collect()
+}
+
+/// Where the bands of a frame of `width` lists a row end, in rows of blocks, given the work of these. If a band would
+/// have more blocks than a chunk may correct, all bands are equally high.
+pub(super) fn borders(work: &[usize], width: u32, num_bands: u8) -> Borders {
+    let (across, down) = (blocks_along(width), work.len());
+    let borders = Borders::sharing(work, num_bands);
     let most = MAX_CHUNK_SEGMENTS / BLOCK_LISTS;
     let is_within = |band| borders.rows(band, down).len() * across <= most;
     if (0..usize::from(num_bands)).all(is_within) {
@@ -73,7 +77,7 @@ mod tests {
     fn blocks_without_matter_are_no_work() {
         // Rows of eight blocks, of which two hold anything: each band gets one of these.
         let rows = |per_list: &[u32]| {
-            let borders = borders(&frame(64, per_list), 2);
+            let borders = borders(&work_of_rows(&frame(64, per_list)), 64, 2);
             [0, 1].map(|band| borders.rows(band, per_list.len()))
         };
         assert_eq!(rows(&[0, 0, 0, 0, 1, 1]), [0..5, 5..6]);
@@ -83,7 +87,10 @@ mod tests {
     #[test]
     fn a_band_has_no_more_blocks_than_its_chunk_may_correct() {
         // Empty rows of 2048 blocks above four with matter: the first band has them and one of those. 64 are 2^17 blocks.
-        let of = |num_empty: usize| borders(&frame(16384, &[&vec![0; num_empty][..], &[1; 4]].concat()), 4);
+        let of = |num_empty: usize| {
+            let frame = frame(16384, &[&vec![0; num_empty][..], &[1; 4]].concat());
+            borders(&work_of_rows(&frame), 16384, 4)
+        };
         assert_eq!(of(63).rows(0, 67), 0..64);
         assert_eq!(of(64), Borders::sharing(&[1; 68], 4));
     }

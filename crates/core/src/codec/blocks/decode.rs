@@ -16,6 +16,7 @@ use super::head::Head;
 use super::model::MAX_LAYERS;
 use super::motion::ReferenceMotion;
 use super::reference::{Reference, References};
+use crate::ids::FrameId;
 
 /// Decodes all chunks of a frame, in order of index.
 pub(in crate::codec) fn decode(
@@ -26,7 +27,7 @@ pub(in crate::codec) fn decode(
     longest_first.sort_by_key(|(_, bytes)| Reverse(bytes.len()));
     // Each thread takes one at a time, so no thread has a long one left at the end.
     let bands = longest_first.into_iter().par_bridge().map(|(header, bytes)| {
-        let (head, band) = decode_band(header, bytes, references)?;
+        let (head, band) = decode_band(header, bytes, |name| references.get(name).map(AsRef::as_ref))?;
         Ok((header, head, Arc::new(band)))
     });
     let mut bands: Vec<_> = bands.collect::<Result<_, CodecError>>()?;
@@ -45,10 +46,11 @@ pub(in crate::codec) fn decode(
     Ok(Reference::new(header.frame, Some(head.steps), bands))
 }
 
-fn decode_band(
+/// Decodes a chunk, given the reference of a name.
+pub(in crate::codec) fn decode_band<'a>(
     header: &ChunkHeader,
     bytes: &[u8],
-    references: &References,
+    named: impl Fn(FrameId) -> Option<&'a Reference>,
 ) -> Result<(Head, Band), CodecError> {
     let mut coded = bytes.get(HEADER_BYTES..).unwrap_or_default();
     if usize::from(header.frame.k) != MAX_LAYERS {
@@ -59,11 +61,11 @@ fn decode_band(
     let reference = match head.reference {
         Some(name) => {
             let missing = CodecError::Reference { frame: header.frame.frame, reference: name };
-            Some(references.get(name).ok_or(missing)?)
+            Some(named(name).ok_or(missing)?)
         }
         None => None,
     };
-    let motion = reference.map(|r| (&**r, ReferenceMotion::new(&header.frame.camera, &r.header.camera)));
+    let motion = reference.map(|r| (r, ReferenceMotion::new(&header.frame.camera, &r.header.camera)));
     // Memory for about as many cells as a band of the reference has, but bounded by the number of bytes.
     let num_cells =
         reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(coded.len() * CELLS_PER_BYTE));

@@ -1,5 +1,6 @@
 //! Encodes: it chooses layers for the lists of a band, and codes them.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -46,74 +47,121 @@ pub(in crate::codec) fn encode_while(
     reference: Option<&Reference>,
     wanted: Wanted<'_>,
 ) -> Result<(EncodedFrame, Reference), CodecError> {
-    let camera = frame.header.camera;
-    at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
-    let header = FrameHeader { k: MAX_LAYERS as u8, ..frame.header };
-    let (cost, steps) = steps::from_settings(settings, reference.is_some(), &camera);
-    let num_bands = num_bands(camera.intrinsics.height).min(settings.max_bands.max(1));
-    let borders = bands::borders(frame, num_bands);
-    let head = Head { steps, reference: reference.map(Reference::frame), borders };
-    let motion = reference.map(|r| (r, ReferenceMotion::new(&camera, &r.header.camera)));
+    let plan = BlocksPlan::new(frame.header, settings, reference, &bands::work_of_rows(frame))?;
     // Bands are ordered from both ends. So a thread with two neighbours in this order has one from the border and one
     // from the middle, and wrong estimates of their time even out.
-    let num = usize::from(num_bands);
+    let num = plan.num_bands();
     let from_both_ends = |n: usize| if n.is_multiple_of(2) { n / 2 } else { num - 1 - n / 2 };
     let bands = (0..num).into_par_iter().with_max_len(1).map(|n| {
         let index = from_both_ends(n);
-        let place = head::place(borders, &header, index);
-        Ok((index, band(frame, place, cost, steps, motion, wanted)?))
+        Ok((index, plan.encode(frame, index, wanted)?))
     });
     let mut bands: Vec<_> = bands.collect::<Result<_, CodecError>>()?;
     bands.sort_unstable_by_key(|(index, _)| *index);
     let (mut payloads, mut decoded, mut notes) = (vec![], vec![], vec![]);
     for (_, band) in bands {
-        payloads.push(band.bytes);
-        decoded.push(Arc::new(band.decoded));
+        payloads.push(band.payload);
+        decoded.push(band.decoded);
         notes.push(band.notes);
     }
-    let reference = Reference::new(header, Some(steps), decoded).with_notes(cost.lambda, notes);
-    Ok((EncodedFrame::from_payloads(header, false, &head.to_bytes(), payloads)?, reference))
+    Ok((plan.encoded(payloads)?, plan.reference(decoded, notes)))
+}
+
+/// What all bands of a frame share.
+#[derive(Clone, Copy)]
+pub(in crate::codec) struct BlocksPlan<'a> {
+    header: FrameHeader,
+    head: Head,
+    num_bands: u8,
+    cost: LayerCost,
+    reference: Option<(&'a Reference, ReferenceMotion)>,
 }
 
 /// An encoded band.
-struct EncodedBand {
-    bytes: Vec<u8>,
+pub(in crate::codec) struct EncodedBand {
+    pub(in crate::codec) payload: Vec<u8>,
     /// The decoded band.
-    decoded: Band,
+    pub(in crate::codec) decoded: Arc<Band>,
     /// How well its planes fit, for the next frame.
-    notes: Notes,
+    pub(in crate::codec) notes: Notes,
 }
 
-/// Encodes a band of a valid frame.
-fn band(
-    frame: &LayeredFrame,
-    place: BandPlace,
-    cost: LayerCost,
-    steps: StepSizes,
-    reference: Option<(&Reference, ReferenceMotion)>,
-    wanted: Wanted<'_>,
-) -> Result<EncodedBand, CodecError> {
-    let mut planner = BlockPlanner::new(frame, place, cost, steps, reference, wanted);
-    let coder = BandCoder::new(Encoder::new(), steps, place, reference, segments(frame, place));
-    let (mut coder, mut decoded, origins) = coder.run(&mut planner, MAX_CHUNK_SEGMENTS)?;
-    if planner.is_abandoned {
-        return Err(CodecError::Abandoned);
+impl<'a> BlocksPlan<'a> {
+    /// Cuts a frame into bands, given the work of each row of blocks.
+    pub(in crate::codec) fn new(
+        frame: FrameHeader,
+        settings: &Settings,
+        reference: Option<&'a Reference>,
+        work: &[usize],
+    ) -> Result<Self, CodecError> {
+        let camera = frame.camera;
+        at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
+        let header = FrameHeader { k: MAX_LAYERS as u8, ..frame };
+        let (cost, steps) = steps::from_settings(settings, reference.is_some(), &camera);
+        let num_bands = num_bands(camera.intrinsics.height).min(settings.max_bands.max(1));
+        let borders = bands::borders(work, camera.intrinsics.width, num_bands);
+        let head = Head { steps, reference: reference.map(Reference::frame), borders };
+        let reference = reference.map(|r| (r, ReferenceMotion::new(&camera, &r.header.camera)));
+        Ok(Self { header, head, num_bands, cost, reference })
     }
-    if decoded.num_cells() > 0 {
-        let BlockPlanner { goals, goal_of, .. } = &planner;
-        let source = |block: usize, planes: &mut [BlockPlane; 3]| {
-            // A block of the reference already contains its corrections.
-            let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
-            match goals.get(goal_of[block] as usize) {
-                Some(goal) if !is_corrected => miss(goal, decoded.cells_of(block), planes),
-                _ => 0,
-            }
-        };
-        let corrections;
-        (coder, corrections) = corrections::code(coder, &steps, place, source)?;
-        corrections.apply(&mut decoded, steps.of_picture());
+
+    pub(in crate::codec) fn num_bands(&self) -> usize {
+        self.num_bands.into()
     }
-    Ok(EncodedBand { bytes: coder.finish(), decoded, notes: planner.notes })
+
+    /// The rows of lists of a band.
+    pub(in crate::codec) fn rows(&self, band: usize) -> Range<usize> {
+        let BandPlace { first_row, num_rows, size, .. } = self.place(band);
+        first_row * BLOCK..((first_row + num_rows) * BLOCK).min(size[1])
+    }
+
+    fn place(&self, band: usize) -> BandPlace {
+        head::place(self.head.borders, &self.header, band)
+    }
+
+    /// The chunks, given the payloads of all bands.
+    pub(in crate::codec) fn encoded(&self, payloads: Vec<Vec<u8>>) -> Result<EncodedFrame, CodecError> {
+        EncodedFrame::from_payloads(self.header, false, &self.head.to_bytes(), payloads)
+    }
+
+    /// The reference that a receiver will have, given all bands.
+    pub(in crate::codec) fn reference(&self, decoded: Vec<Arc<Band>>, notes: Vec<Notes>) -> Reference {
+        let reference = Reference::new(self.header, Some(self.head.steps), decoded);
+        reference.with_notes(self.cost.lambda, notes)
+    }
+
+    /// Encodes a band of a valid frame, of which only the rows of the band are read.
+    pub(in crate::codec) fn encode(
+        &self,
+        frame: &LayeredFrame,
+        index: usize,
+        wanted: Wanted<'_>,
+    ) -> Result<EncodedBand, CodecError> {
+        let Self { cost, reference, head: Head { steps, .. }, .. } = *self;
+        let place = self.place(index);
+        let mut planner = BlockPlanner::new(frame, place, cost, steps, reference, wanted);
+        let coder = BandCoder::new(Encoder::new(), steps, place, reference, segments(frame, place));
+        let (mut coder, mut decoded, origins) = coder.run(&mut planner, MAX_CHUNK_SEGMENTS)?;
+        if planner.is_abandoned {
+            return Err(CodecError::Abandoned);
+        }
+        if decoded.num_cells() > 0 {
+            let BlockPlanner { goals, goal_of, .. } = &planner;
+            let source = |block: usize, planes: &mut [BlockPlane; 3]| {
+                // A block of the reference already contains its corrections.
+                let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
+                match goals.get(goal_of[block] as usize) {
+                    Some(goal) if !is_corrected => miss(goal, decoded.cells_of(block), planes),
+                    _ => 0,
+                }
+            };
+            let corrections;
+            (coder, corrections) = corrections::code(coder, &steps, place, source)?;
+            corrections.apply(&mut decoded, steps.of_picture());
+        }
+        let (payload, notes) = (coder.finish(), planner.notes);
+        Ok(EncodedBand { payload, decoded: Arc::new(decoded), notes })
+    }
 }
 
 /// Number of segments in a band.

@@ -10,7 +10,7 @@ use crate::ids::FrameId;
 
 /// The head of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Head {
+pub(in crate::codec) struct Head {
     pub(super) steps: StepSizes,
     /// The frame that this one is predicted from.
     pub(super) reference: Option<FrameId>,

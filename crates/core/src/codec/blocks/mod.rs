@@ -58,13 +58,15 @@ mod smooth;
 mod steps;
 mod syntax;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 mod to_frame;
 mod trained;
 mod transform;
 
-pub(super) use decode::decode;
-pub(super) use encode::encode_while;
+pub(super) use band::Band;
+pub(super) use bands::work_of_rows;
+pub(super) use decode::{decode, decode_band};
+pub(super) use encode::{BlocksPlan, EncodedBand, encode_while};
 
 pub use encode::encode;
 pub use head::reference_named;

@@ -29,7 +29,7 @@ pub struct Reference {
 
 /// For each block of a band, the error of its planes after the last search, in units of the cost of a layer. It is
 /// less if the planes fit better since. 0 where nothing is known.
-pub(super) type Notes = Vec<f32>;
+pub(in crate::codec) type Notes = Vec<f32>;
 
 impl PartialEq for Reference {
     fn eq(&self, other: &Self) -> bool {

@@ -20,7 +20,13 @@ use crate::volume::procedural::Builtin;
 mod hostile;
 
 /// Frame `frame` of `width`×`height` lists, `degrees` along an orbit.
-fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> LayeredFrame {
+pub(in crate::codec) fn made(
+    scene: &Scene,
+    frame: u32,
+    width: u32,
+    height: u32,
+    degrees: f32,
+) -> LayeredFrame {
     let intrinsics = Intrinsics::perspective(width, height, 0.6);
     let header = FrameHeader {
         frame: FrameId(frame),

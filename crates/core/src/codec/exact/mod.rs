@@ -25,6 +25,8 @@ mod rans;
 mod rows;
 mod scale;
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::bands::{Borders, split_off};
@@ -32,8 +34,9 @@ use super::chunk::EncodedFrame;
 use super::error::{CodecError, at_most};
 use super::header::{ChunkHeader, TILE, num_bands, num_tiles};
 use super::limits::{MAX_FRAME_LISTS, MAX_FRAME_SEGMENTS};
+use crate::camera::Intrinsics;
 use crate::cancel::Wanted;
-use crate::layer::LayeredFrame;
+use crate::layer::{FrameHeader, LayeredFrame};
 use planes::{Opened, Words, rows_of};
 
 /// Makes the tables.
@@ -43,31 +46,71 @@ pub(super) fn prepare() {
 
 /// Encodes a valid frame, bands in parallel. Stops when the frame is no longer wanted.
 pub(super) fn encode(frame: &LayeredFrame, wanted: Wanted<'_>) -> Result<EncodedFrame, CodecError> {
-    let intrinsics = frame.header.camera.intrinsics;
-    at_most("lists", intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
-    at_most("segments in a frame", frame.num_segments(), MAX_FRAME_SEGMENTS)?;
-    let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
-    // The time of a band is proportional to its segments.
-    let end = |row: usize| frame.offsets[(row * TILE).min(height) * width];
-    let num_rows = num_tiles(intrinsics.height);
-    let work: Vec<_> = (0..num_rows).map(|row| (end(row + 1) - end(row)) as usize).collect();
-    let num_bands = num_bands(intrinsics.height);
-    let borders = Borders::sharing(&work, num_bands);
-    let payloads = (0..usize::from(num_bands)).into_par_iter().with_max_len(1).map(|band| {
+    let plan = ExactPlan::new(frame.header, &work_of_rows(frame))?;
+    let payloads = (0..plan.num_bands()).into_par_iter().with_max_len(1);
+    let payloads = payloads.map(|band| plan.encode(frame, band, wanted));
+    plan.encoded(payloads.collect::<Result<_, _>>()?)
+}
+
+/// The work for each row of tiles of a frame. The time of a band is proportional to its segments.
+pub(super) fn work_of_rows(frame: &LayeredFrame) -> Vec<usize> {
+    let Intrinsics { width, height, .. } = frame.header.camera.intrinsics;
+    let end = |row: usize| frame.offsets[(row * TILE).min(height as usize) * width as usize];
+    (0..num_tiles(height)).map(|row| (end(row + 1) - end(row)) as usize).collect()
+}
+
+/// What all bands of a frame share.
+#[derive(Clone, Copy)]
+pub(super) struct ExactPlan {
+    header: FrameHeader,
+    borders: Borders,
+    num_bands: u8,
+}
+
+impl ExactPlan {
+    /// Cuts a frame into bands, given the segments of each row of tiles.
+    pub(super) fn new(header: FrameHeader, work: &[usize]) -> Result<Self, CodecError> {
+        let intrinsics = header.camera.intrinsics;
+        at_most("lists", intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
+        at_most("segments in a frame", work.iter().sum(), MAX_FRAME_SEGMENTS)?;
+        let num_bands = num_bands(intrinsics.height);
+        Ok(Self { header, borders: Borders::sharing(work, num_bands), num_bands })
+    }
+
+    pub(super) fn num_bands(&self) -> usize {
+        self.num_bands.into()
+    }
+
+    /// The rows of lists of a band.
+    pub(super) fn rows(&self, band: usize) -> Range<usize> {
+        rows_of(self.borders, band, self.header.camera.intrinsics.height)
+    }
+
+    /// The payload of a band of a valid frame, of which only the rows of the band are read.
+    pub(super) fn encode(
+        &self,
+        frame: &LayeredFrame,
+        band: usize,
+        wanted: Wanted<'_>,
+    ) -> Result<Vec<u8>, CodecError> {
         if !wanted() {
             return Err(CodecError::Abandoned);
         }
-        let rows = rows_of(borders, band, intrinsics.height);
+        let width = self.header.camera.intrinsics.width as usize;
+        let rows = self.rows(band);
         let mut lists = quantize::band(frame, rows.start * width..rows.end * width);
         if !wanted() {
             return Err(CodecError::Abandoned);
         }
         planes::encode(&mut lists, width)
-    });
-    let payloads = payloads.collect::<Result<_, _>>()?;
-    let mut head = vec![];
-    borders.write(&mut head);
-    EncodedFrame::from_payloads(frame.header, true, &head, payloads)
+    }
+
+    /// The chunks, given the payloads of all bands.
+    pub(super) fn encoded(&self, payloads: Vec<Vec<u8>>) -> Result<EncodedFrame, CodecError> {
+        let mut head = vec![];
+        self.borders.write(&mut head);
+        EncodedFrame::from_payloads(self.header, true, &head, payloads)
+    }
 }
 
 /// Decodes all chunks of a frame, in order of index. Reuses the memory of `spare`.

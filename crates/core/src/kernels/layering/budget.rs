@@ -181,12 +181,17 @@ impl Budget {
 
     /// Notes a frame made at `threshold`. `header.k` is K.
     pub fn note(&mut self, header: &FrameHeader, threshold: f32, frame: &LayeredFrame) {
-        let (k, num) = (f32::from(header.k.max(1)), frame.num_filled());
+        self.note_spent(header, threshold, frame.num_segments(), frame.num_filled());
+    }
+
+    /// The same for a frame with so many segments, in so many lists that have any.
+    pub fn note_spent(&mut self, header: &FrameHeader, threshold: f32, num_segments: usize, num: usize) {
+        let k = f32::from(header.k.max(1));
         if num < NOTED_LISTS || !threshold.is_finite() {
             self.last = None;
             return;
         }
-        let spent = frame.num_segments() as f32 / num as f32;
+        let spent = num_segments as f32 / num as f32;
         let threshold =
             threshold * (spent / k).powf(FOLLOWING_POWER).clamp(1.0 / FOLLOWING_MOST, FOLLOWING_MOST);
         let threshold = threshold.clamp(FIRST_LEAST, THRESHOLD_GREATEST);

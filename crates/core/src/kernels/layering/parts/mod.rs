@@ -11,13 +11,13 @@
 
 mod devices;
 mod forms;
+mod rows;
 
 use rayon::prelude::*;
 
 pub use self::devices::{Gathered, OnProcessors, PartMarcher, pieces_by, seen_by, steps_by};
 use self::forms::{CrossingForm, Form, GreatestForm, MatterForm, MeanForm, RawStep};
 use super::budget::{self, longest_list};
-use super::pieces::join_rows;
 use super::projection::ProjectionLister;
 use super::visibility_merge::Counter;
 use super::{Listing, SegmentList, clamp_k, close};
@@ -28,6 +28,8 @@ use crate::kernels::part_rows::{self, MAX_ITEMS, PartsError, RowItems};
 use crate::layer::{FrameHeader, LayeredFrame};
 use crate::mode::Mode;
 use crate::volume::Split;
+
+pub use rows::{frame_from_words, frame_of_rows, words_from_rows};
 
 /// A frame that several processes make. All of them ask for the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -308,43 +310,6 @@ fn hand_on(steps: &[Step], sink: &mut impl Sink) {
     for step in steps {
         sink.step(*step);
     }
-}
-
-/// Rows of a frame as words: for each its ends of lists, and its planes.
-pub fn words_from_rows(rows: &[LayeredFrame]) -> Vec<u32> {
-    let mut words = Vec::with_capacity(rows.iter().map(|row| row.offsets.len() + 3 * row.depth.len()).sum());
-    for row in rows {
-        for plane in [&row.offsets, &row.depth, &row.c_rg, &row.c_b_tau] {
-            words.extend_from_slice(plane);
-        }
-    }
-    words
-}
-
-/// The frame of the rows that each process united, as [`words_from_rows`] wrote them.
-///
-/// # Errors
-/// If one did not send its rows.
-pub fn frame_from_words(frame: &AskedFrame, words: &[Vec<u32>]) -> Result<LayeredFrame, PartsError> {
-    let header = frame.of_frame();
-    let (width, height) = (frame.width() as usize, header.camera.intrinsics.height);
-    let mut rows: Vec<Option<LayeredFrame>> = (0..height).map(|_| None).collect();
-    let num_ranks = words.len();
-    for (rank, words) in words.iter().enumerate() {
-        let mut at = 0;
-        let mut take = |num: usize| {
-            let taken = words.get(at..at + num).map(<[u32]>::to_vec);
-            at += num;
-            taken.ok_or(PartsError::Words { rank, found: words.len(), expected: at })
-        };
-        for y in part_rows::rows_of(rank, num_ranks, height) {
-            let offsets = take(width)?;
-            let num = offsets.last().copied().unwrap_or(0) as usize;
-            let (depth, c_rg, c_b_tau) = (take(num)?, take(num)?, take(num)?);
-            rows[y as usize] = Some(LayeredFrame { header, offsets, depth, c_rg, c_b_tau });
-        }
-    }
-    Ok(join_rows(header, rows.into_iter().flatten().collect()))
 }
 
 /// Most pieces of a ray in one part.
