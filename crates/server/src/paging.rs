@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use isinglass_core::kernels::march::{Scene, SeenPages};
+use isinglass_core::layer::Fineness;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{
     Page, PageError, PageId, PagePlan, PageProgress, PageRanges, PageSet, PageSource, PageValues, PageView,
@@ -28,9 +29,15 @@ pub struct FramePages {
 }
 
 impl FramePages {
-    /// Whether a resting camera will get better ones.
-    pub fn is_draft(&self) -> bool {
-        !self.rests || self.is_paused || self.progress.is_loading()
+    /// What a frame of them shows.
+    pub fn fineness(&self) -> Fineness {
+        if !self.rests || self.is_paused || self.progress.is_loading() {
+            Fineness::Draft
+        } else if self.progress.is_exact() {
+            Fineness::Whole
+        } else {
+            Fineness::Bounded
+        }
     }
 }
 

@@ -267,7 +267,7 @@ impl RenderThread {
                 job.begun = None;
                 Ok(None)
             }
-            Piece::Whole(frame) => {
+            Piece::Whole(mut frame) => {
                 let ended = Instant::now();
                 self.after_work.note(Work::Generate, Duration::from_micros(*spent_micros));
                 *spent_micros += ended.elapsed().as_micros() as u64;
@@ -276,6 +276,7 @@ impl RenderThread {
                 let (generate_micros, is_draft) = (*spent_micros, begun.is_draft);
                 let occlusion = begun.occlusion.take();
                 let pages = begun.pages.take();
+                frame.header.fineness = pages.as_ref().map(FramePages::fineness).unwrap_or_default();
                 Ok(Some(Generated { frame, _held: held, generate_micros, is_draft, occlusion, pages }))
             }
         }

@@ -29,6 +29,7 @@ fn made(scene: &Scene, frame: u32, width: u32, height: u32, degrees: f32) -> Lay
         camera: camera(intrinsics, degrees),
         k: 12,
         mode: Default::default(),
+        fineness: Default::default(),
     };
     generate(scene, header)
 }
