@@ -26,14 +26,13 @@ impl Pages {
         let view = PageView { camera: *camera, region: scene.region(), rests: true };
         let scene = scene.without_pages();
         let mut pages = pager.settled(ViewerId(0), &view, &scene, &|| true);
-        let shown = match renderer.set_scene(scene.with_pages(pages.set.clone(), None)) {
-            Err(GpuError::Pages { most }) => {
-                pager.limit(most);
-                pages = pager.settled(ViewerId(0), &view, &scene, &|| true);
-                renderer.set_scene(scene.with_pages(pages.set, None))
-            }
-            shown => shown,
-        };
+        let mut shown = renderer.set_scene(scene.with_pages(pages.set.clone(), None));
+        while let Err(GpuError::Pages { most }) = shown
+            && pager.limit(most)
+        {
+            pages = pager.settled(ViewerId(0), &view, &scene, &|| true);
+            shown = renderer.set_scene(scene.with_pages(pages.set.clone(), None));
+        }
         shown?;
         let progress = pages.progress;
         if progress.num_wanted > 0 && progress.num_resident == 0 {

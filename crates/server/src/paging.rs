@@ -135,10 +135,14 @@ impl Pager {
         self.shared.max_bytes
     }
 
-    /// The renderer has memory for at most so many pages at once. Later views get no more.
-    pub fn limit(&self, most: usize) {
-        tracing::warn!("the renderer has memory for {most} pages of the volume at once");
-        self.shared.state().residency.limit(most);
+    /// The renderer has memory for at most so many pages at once. Later views get no more. Returns whether that is less
+    /// than was known.
+    pub fn limit(&self, most: usize) -> bool {
+        let is_less = self.shared.state().residency.limit(most);
+        if is_less {
+            tracing::warn!("the renderer has memory for {most} pages of the volume at once");
+        }
+        is_less
     }
 
     /// The pages for a viewer's next frame of `scene`. What is missing is read from now on.
@@ -351,3 +355,6 @@ const MAX_READERS: usize = 8;
 const LARGE_BLOCK: i32 = 256 << 10;
 /// Time between looks at what is there.
 const POLL: std::time::Duration = std::time::Duration::from_millis(5);
+
+#[cfg(test)]
+pub(crate) mod in_memory;
