@@ -178,6 +178,7 @@ pub fn header(camera: Camera, k: u8) -> FrameHeader {
         camera,
         k,
         mode: Default::default(),
+        fineness: Default::default(),
     }
 }
 

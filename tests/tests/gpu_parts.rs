@@ -14,7 +14,7 @@ use isinglass_core::channels::{Blend, ChannelLook, Channels};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::kernels::layering::generate;
 use isinglass_core::kernels::layering::parts::{
-    AskedFrame, OnProcessors, PartMarcher, frame_from_words, threshold, unite, words_from_rows,
+    AskedFrame, OnProcessors, PartMarcher, frame_from_words, frame_of_rows, threshold, unite, words_from_rows,
 };
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::{MarchSettings, Scene, render};
@@ -111,12 +111,15 @@ impl Parts {
 
     fn frame_of(&self, frame: &AskedFrame, pieces: &[Vec<Vec<u32>>]) -> LayeredFrame {
         let (num, height) = (self.scenes.len(), frame.asked().camera.intrinsics.height);
-        let words = (0..num).map(|owner| {
+        let rows: Vec<_> = (0..num).map(|owner| rows_of(owner, num, height)).collect();
+        let words = rows.iter().enumerate().map(|(owner, rows)| {
             let lists: Vec<_> = pieces.iter().map(|of_rank| of_rank[owner].clone()).collect();
-            let rows = rows_of(owner, num, height);
-            words_from_rows(&unite(&self.scenes[owner], &self.split, frame, &rows, &lists).unwrap())
+            let made = unite(&self.scenes[owner], &self.split, frame, rows, &lists).unwrap();
+            words_from_rows(&frame_of_rows(frame, rows, made), rows)
         });
-        let made = frame_from_words(frame, &words.collect::<Vec<_>>()).unwrap();
+        let words: Vec<_> = words.collect();
+        let header = frame_of_rows(frame, &[], Vec::new()).header;
+        let made = frame_from_words(header, &rows, &words).unwrap();
         made.validate().unwrap();
         made
     }

@@ -243,6 +243,7 @@ fn a_real_volume_goes_through_blocks() {
             camera,
             k: 12,
             mode: Default::default(),
+            fineness: Default::default(),
         };
         let frame = generate(&scene, header);
         let settings = blocks::Settings::of(60);

@@ -46,7 +46,7 @@ fn path(name: &str) -> PathBuf {
 /// FNV-1a of all that a frame says: size, k and ids, the mode if it is another than composite, the camera's numbers, then the
 /// words of offsets and planes.
 fn checksum(frame: &LayeredFrame) -> u64 {
-    let FrameHeader { frame: id, pose, look, camera, k, mode } = frame.header;
+    let FrameHeader { frame: id, pose, look, camera, k, mode, fineness: _ } = frame.header;
     let Camera { pose: Pose { eye, world_from_view: q }, intrinsics, near, far } = camera;
     let integers = [id.0, pose.0, look.0, intrinsics.width, intrinsics.height, u32::from(k)];
     let floats = [eye.x, eye.y, eye.z, q.x, q.y, q.z, q.w, intrinsics.projection.to_number(), near, far]
@@ -118,7 +118,7 @@ fn make_missing_vectors() {
         let camera = Camera::new(pose, intrinsics, &bounds);
         let camera = if is_parallel { camera.to_orthographic(distance, &bounds) } else { camera };
         let (frame, pose, look) = (FrameId(id), PoseId(2), LookVersion(3));
-        generate(&scene, FrameHeader { frame, pose, look, camera, k, mode })
+        generate(&scene, FrameHeader { frame, pose, look, mode, ..FrameHeader::alone(camera, k) })
     };
     let frame_at =
         |id, azimuth, source: &str, size, k| frame_of(Mode::Composite, false, id, azimuth, source, size, k);

@@ -284,6 +284,7 @@ impl StillSource {
             camera: Camera::new(pose, intrinsics, &self.scene.volume.bounds()),
             k: 8,
             mode: Default::default(),
+            fineness: Default::default(),
         };
         let frame: LayeredFrame = generate(&self.scene, header);
         let times = Life::default();

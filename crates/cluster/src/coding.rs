@@ -9,7 +9,7 @@ use isinglass_core::codec::{CodecError, CodedBand, Coding, EncodedFrame, FrameBa
 use isinglass_core::ids::{FrameId, LookVersion, PoseId};
 use isinglass_core::kernels::layering::parts::{frame_from_words, words_from_rows};
 use isinglass_core::kernels::rows_of;
-use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::layer::{Fineness, FrameHeader, LayeredFrame};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +22,7 @@ use crate::words::{push_bytes, take_bytes};
 pub(crate) struct CodeJob {
     pub(crate) frame: u64,
     ids: (FrameId, PoseId, LookVersion),
+    fineness: Fineness,
     /// Quality, turn and most bands of blocks; otherwise it is exact.
     blocks: Option<(u8, Option<u8>, u8)>,
     is_thinned: bool,
@@ -49,7 +50,7 @@ impl CodeJob {
             Coding::Blocks(Settings { quality, turn_deg, max_bands }) => Some((quality, turn_deg, max_bands)),
         };
         let ids = (header.frame, header.pose, header.look);
-        Self { frame, ids, blocks, is_thinned, reference, number }
+        Self { frame, ids, fineness: header.fineness, blocks, is_thinned, reference, number }
     }
 
     fn coding(&self) -> Coding {
@@ -85,7 +86,7 @@ impl Cluster<'_> {
         let work: Vec<u64> = coding.work_of_rows(rows).into_iter().map(|work| work as u64).collect();
         let work: Vec<usize> = exchange.sum(&work)?.into_iter().map(|work| work as usize).collect();
         let (frame, pose, look) = job.ids;
-        let header = FrameHeader { frame, pose, look, ..rows.header };
+        let header = FrameHeader { frame, pose, look, fineness: job.fineness, ..rows.header };
         let bands = match coding.bands(header, reference, &work) {
             Ok(bands) => bands,
             Err(e) => return Ok(Err(e)),

@@ -20,6 +20,7 @@
 //! The opacity of what a projection shows is its greatest channel.
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 use crate::camera::Camera;
 use crate::ids::{FrameId, LookVersion, PoseId};
@@ -40,12 +41,40 @@ pub struct FrameHeader {
     pub k: u8,
     /// The mode, which decides how segments become one colour.
     pub mode: Mode,
+    /// Whether it shows the finest level of its volume.
+    pub fineness: Fineness,
+}
+
+/// Whether a frame shows the finest level of its volume. One that is read by pages has coarser parts at first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[repr(u8)]
+pub enum Fineness {
+    /// All that is seen is of the finest level.
+    #[default]
+    Whole,
+    /// Parts are coarser, and stay so: there is no memory for finer ones, or they cannot be read.
+    Bounded,
+    /// A finer frame of the same pose follows.
+    Draft,
+}
+
+impl Fineness {
+    /// All of them, by their numbers.
+    pub const ALL: [Self; 3] = [Self::Whole, Self::Bounded, Self::Draft];
 }
 
 impl FrameHeader {
     /// The header of a composite frame that answers no request.
     pub fn alone(camera: Camera, k: u8) -> Self {
-        Self { frame: FrameId(1), pose: PoseId(0), look: LookVersion(0), camera, k, mode: Mode::default() }
+        Self {
+            frame: FrameId(1),
+            pose: PoseId(0),
+            look: LookVersion(0),
+            camera,
+            k,
+            mode: Mode::default(),
+            fineness: Fineness::default(),
+        }
     }
 }
 

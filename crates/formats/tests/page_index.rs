@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
 use std::fs;
+use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -164,4 +165,58 @@ fn making_an_index_can_be_stopped_and_tells_how_far_it_is() {
     fs::File::options().write(true).open(&path).unwrap().set_len(1000).unwrap();
     let message = paged.build_index(None, None).unwrap_err().to_string();
     assert!(message.contains("it ends before byte") && message.lines().count() == 1, "{message}");
+}
+
+/// A file that is too large to be indexed when it is opened: zeros, with a number here and there.
+fn large(path: &Path) -> RawShape {
+    let dims = [430, 430, 366];
+    let num_voxels = dims.iter().map(|&n| u64::from(n)).product::<u64>();
+    let mut file = fs::File::create(path).unwrap();
+    file.set_len(num_voxels * 4).unwrap();
+    for i in (0..num_voxels).step_by(100_003) {
+        file.seek(SeekFrom::Start(i * 4)).unwrap();
+        file.write_all(&((i % 977) as f32 / 7.0 - 20.0).to_le_bytes()).unwrap();
+    }
+    RawShape { dims, dtype: Dtype::Float, spacing: Vec3::ONE, endian: Endian::Little, offset: 0 }
+}
+
+#[test]
+fn reading_every_page_leaves_the_index_and_reading_all_but_one_leaves_none() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("a.raw");
+    let shape = large(&path);
+    let [by_reading, by_command] = ["reading", "command"].map(|name| folder.path().join(name));
+    let opened = |kept: &Path| {
+        let options = OpenOptions { raw: Some(shape), index_folder: Some(kept), ..OpenOptions::default() };
+        open_paged(path.to_str().unwrap(), &options).unwrap()
+    };
+    let num_pages = 7 * 7 * 6;
+    // Three threads, in no order, and some pages twice.
+    let read = |num: u32| {
+        let paged = opened(&by_reading);
+        assert!(paged.index.is_none());
+        let source = &paged.source;
+        let page = |i: u32| PageId { level: 0, at: [i % 7, i / 7 % 7, i / 49] };
+        std::thread::scope(|scope| {
+            for thread in 0..3 {
+                scope.spawn(move || {
+                    for i in (0..num).filter(|i| i % 3 == thread || i % 50 == 0) {
+                        source.read(0, page(num - 1 - i * 5 % num)).unwrap();
+                        source.read(0, PageId { level: 1, at: [0; 3] }).unwrap();
+                    }
+                });
+            }
+        });
+    };
+    assert!(num_pages % 5 != 0 && (num_pages - 1) % 5 != 0, "each page is met");
+    read(num_pages - 1);
+    assert!(!by_reading.exists(), "the control");
+    read(num_pages);
+    let paged = opened(&by_command);
+    let kept = paged.keep_index(&paged.build_index(None, None).unwrap()).unwrap().unwrap();
+    let same = by_reading.join(kept.file_name().unwrap());
+    assert!(fs::read(&same).unwrap() == fs::read(&kept).unwrap(), "to the byte");
+    // It is used from the next opening on.
+    assert_eq!(opened(&by_reading).index, opened(&by_command).index);
+    assert!(opened(&by_reading).index.is_some());
 }

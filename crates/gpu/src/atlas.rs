@@ -24,10 +24,13 @@ pub(crate) struct Atlas {
     buffers: Option<[wgpu::Buffer; 3]>,
     /// Counts the scenes.
     turn: u64,
+    /// Pretends that the device has memory for so many slots of all textures together.
+    #[cfg(test)]
+    pub(crate) most_of_all: Option<usize>,
 }
 
 /// Textures with the same slots.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Textures {
     /// By the channel's number.
     channels: Vec<(usize, wgpu::Texture)>,
@@ -62,7 +65,15 @@ impl Atlas {
         // A texture of 2048 texels a side has them on every device.
         let widest = gpu.device().limits().max_texture_dimension_3d / PAGE_POINTS;
         let most = (SLOTS_A_SIDE * SLOTS_A_SIDE * widest) as usize;
-        Self { slots: Vec::new(), most, textures: Textures::default(), buffers: None, turn: 0 }
+        Self {
+            slots: Vec::new(),
+            most,
+            textures: Textures::default(),
+            buffers: None,
+            turn: 0,
+            #[cfg(test)]
+            most_of_all: None,
+        }
     }
 
     /// Uploads what is new of a scene's pages.
@@ -74,13 +85,60 @@ impl Atlas {
         let all = pages.set.pages().iter().zip(&pages.looks).enumerate();
         let seen = all.filter(|(_, (_, look))| look.is_visible);
         let seen: Vec<_> = seen.map(|(place, (page, look))| Seen { place, page, look }).collect();
-        if seen.len() > self.slots.len() {
+        if seen.len() > self.slots.len() || !self.complete(gpu, scene, &seen)? {
             self.grow(gpu, scene, &seen)?;
         }
-        self.textures.complete(gpu, self.slots.len(), scene, &seen, &mut self.slots)?;
         let slots = self.assign(&seen)?;
         self.upload(gpu, scene, &seen, &slots)?;
         self.write_fields(gpu, pages, scene, &seen, &slots);
+        Ok(())
+    }
+
+    /// Makes the textures that the slots lack, such as another channel's. Returns false if there is no memory for them:
+    /// then no slot stays, and fewer may follow.
+    fn complete(&mut self, gpu: &Gpu, scene: &Scene, seen: &[Seen<'_>]) -> Result<bool, GpuError> {
+        let mut textures = self.textures.clone();
+        let mut slots = std::mem::take(&mut self.slots);
+        let made = self.make(gpu, scene, seen, &mut slots, &mut textures);
+        match made {
+            Err(GpuError::OutOfMemory(_)) => {
+                self.most = fewer(slots.len());
+                self.clear(gpu)?;
+                Ok(false)
+            }
+            made => {
+                (self.slots, self.textures) = (slots, textures);
+                made.map(|()| true)
+            }
+        }
+    }
+
+    /// Makes the textures that a scene needs and that are not there.
+    fn make(
+        &self,
+        gpu: &Gpu,
+        scene: &Scene,
+        seen: &[Seen<'_>],
+        slots: &mut [Slot],
+        textures: &mut Textures,
+    ) -> Result<(), GpuError> {
+        let what = "making room for pages";
+        gpu.attempt(what, || {
+            textures.complete(gpu, scene, seen, slots);
+            #[cfg(test)]
+            if self.most_of_all.is_some_and(|most| textures.all().count() * slots.len() > most) {
+                return Err(GpuError::OutOfMemory(what));
+            }
+            Ok(())
+        })
+    }
+
+    /// Forgets all pages, and frees their memory at once.
+    fn clear(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        gpu.wait("making room for pages")?;
+        // What is bound to them is not used any more.
+        self.textures.all().for_each(wgpu::Texture::destroy);
+        (self.textures, self.slots) = Default::default();
         Ok(())
     }
 
@@ -91,19 +149,15 @@ impl Atlas {
             return Err(GpuError::Pages { most: self.most });
         }
         let mut num = (self.slots.len() * 2).max(needed).max(LEAST_SLOTS).min(self.most);
-        gpu.wait("making room for pages")?;
-        std::mem::take(&mut self.textures).destroy();
-        self.slots.clear();
+        self.clear(gpu)?;
         loop {
             let mut slots = Vec::new();
             slots.resize_with(num, Slot::default);
             let mut textures = Textures::default();
-            match gpu
-                .attempt("making room for pages", || textures.complete(gpu, num, scene, seen, &mut slots))
-            {
+            match self.make(gpu, scene, seen, &mut slots, &mut textures) {
                 Ok(()) => (self.slots, self.textures) = (slots, textures),
                 Err(GpuError::OutOfMemory(_)) if num > LEAST_SLOTS => {
-                    num = (num / 4 * 3).max(LEAST_SLOTS);
+                    num = fewer(num);
                     self.most = num;
                     continue;
                 }
@@ -250,23 +304,15 @@ impl Atlas {
 }
 
 impl Textures {
-    /// Frees the memory at once. What is bound to them must not be used any more.
-    fn destroy(self) {
+    fn all(&self) -> impl Iterator<Item = &wgpu::Texture> {
         let channels = self.channels.iter().map(|(_, texture)| texture);
         let gaps = self.gaps.iter().map(|(_, texture)| texture);
-        channels.chain(&self.shares).chain(gaps).for_each(wgpu::Texture::destroy);
+        channels.chain(&self.shares).chain(gaps)
     }
 
-    /// Makes the textures that a scene needs and that are not there, with `num` slots.
-    fn complete(
-        &mut self,
-        gpu: &Gpu,
-        num: usize,
-        scene: &Scene,
-        seen: &[Seen<'_>],
-        slots: &mut [Slot],
-    ) -> Result<(), GpuError> {
-        let dims = slot_dims(num).map(|n| n * PAGE_POINTS);
+    /// Makes the textures that a scene needs and that are not there, for these slots.
+    fn complete(&mut self, gpu: &Gpu, scene: &Scene, seen: &[Seen<'_>], slots: &mut [Slot]) {
+        let dims = slot_dims(slots.len()).map(|n| n * PAGE_POINTS);
         for (channel, volume) in scene.marched_channels().zip(scene.marched_volumes()) {
             if !self.channels.iter().any(|(known, _)| *known == channel) {
                 self.channels.push((channel, texture(gpu, dims, format_of(volume))));
@@ -286,7 +332,6 @@ impl Textures {
         } else if !are_known {
             self.gaps = None;
         }
-        Ok(())
     }
 }
 
@@ -313,6 +358,11 @@ fn slot_dims(num: usize) -> [u32; 3] {
     let z = num.clamp(1, SLOTS_A_SIDE);
     let y = num.div_ceil(z).min(SLOTS_A_SIDE);
     [num.div_ceil(y * z), y, z]
+}
+
+/// Slots for the next attempt, after so many had no memory.
+fn fewer(num: usize) -> usize {
+    (num / 4 * 3).max(LEAST_SLOTS)
 }
 
 /// The first texel of a slot.
@@ -348,7 +398,7 @@ mod tests {
     use isinglass_core::kernels::march::MarchSettings;
     use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
     use isinglass_core::volume::procedural::Builtin;
-    use isinglass_core::volume::{PageId, Pyramid};
+    use isinglass_core::volume::{PageId, Pyramid, Volume, VolumeInfo, Voxels};
 
     use super::*;
     use crate::march::GpuRenderer;
@@ -366,6 +416,16 @@ mod tests {
         }
     }
 
+    fn ramp() -> TransferFunction {
+        let point = |x, opacity| ControlPoint { x, color: [0.9, 0.8, 0.5], opacity };
+        TransferFunction {
+            name: "ramp".into(),
+            domain: Domain::Full,
+            unit_length: UnitLength::Voxel,
+            points: vec![point(0.0, 0.0), point(1.0, 0.1)],
+        }
+    }
+
     #[test]
     fn too_many_pages_are_refused_and_fewer_are_shown() {
         let Ok(gpu) = Gpu::open() else {
@@ -373,13 +433,7 @@ mod tests {
             return;
         };
         let volume = Arc::new(Builtin::Cloud.volume(140));
-        let point = |x, opacity| ControlPoint { x, color: [0.9, 0.8, 0.5], opacity };
-        let transfer = TransferFunction {
-            name: "ramp".into(),
-            domain: Domain::Full,
-            unit_length: UnitLength::Voxel,
-            points: vec![point(0.0, 0.0), point(1.0, 0.1)],
-        };
+        let transfer = ramp();
         let base = Scene::new(volume.clone(), &transfer, MarchSettings::default());
         let pyramid = Arc::new(Pyramid::of(&volume));
         let pages = pyramid.base_pages(&volume).unwrap();
@@ -402,5 +456,41 @@ mod tests {
         renderer.limit_pages(27);
         renderer.set_scene(all).unwrap();
         assert!(renderer.scene().pages.is_some());
+    }
+
+    /// The light of a look needs a texture more. Without memory for it, there are fewer slots; the device is not lost.
+    #[test]
+    fn another_texture_without_memory_costs_slots_and_not_the_device() {
+        let Ok(gpu) = Gpu::open() else {
+            eprintln!("skipped: no device");
+            return;
+        };
+        // The pages are 5 × 5 × 3.
+        let (dims, info) = ([280, 280, 190], VolumeInfo::default());
+        let voxels = Voxels::U8((0..280 * 280 * 190).map(|i| (i % 255 + 1) as u8).collect());
+        let volume = Arc::new(Volume::new(dims, Vec3::ONE, voxels, (1.0, 0.0), info).unwrap());
+        let pyramid = Arc::new(Pyramid::of(&volume));
+        let pages = pyramid.base_pages(&volume).unwrap();
+        assert!(pages.len() > LEAST_SLOTS, "{}", pages.len());
+        let scene = |is_lit: bool| {
+            let shading = is_lit.then(Default::default);
+            let settings = MarchSettings { shading, ..MarchSettings::default() };
+            let set = Arc::new(PageSet::new(pyramid.clone(), pages.clone(), |_| true));
+            Scene::new(volume.clone(), &ramp(), settings).with_pages(set, None)
+        };
+        let mut renderer = GpuRenderer::new(&gpu, scene(false).without_pages()).unwrap();
+        let num = pages.len();
+        for (most_of_all, has_room) in [(2 * num, true), (2 * num - 1, false)] {
+            renderer.atlas().clear(&gpu).unwrap();
+            renderer.atlas().most_of_all = Some(most_of_all);
+            renderer.limit_pages(num);
+            renderer.set_scene(scene(false)).unwrap();
+            let lit = renderer.set_scene(scene(true));
+            let most = fewer(num);
+            let refused = Err(GpuError::Pages { most });
+            assert_eq!(lit, if has_room { Ok(()) } else { refused }, "{most_of_all}");
+            assert_eq!(renderer.scene().pages.is_some(), has_room);
+            renderer.set_scene(scene(false).without_pages()).unwrap();
+        }
     }
 }

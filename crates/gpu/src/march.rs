@@ -70,7 +70,13 @@ impl GpuRenderer {
     /// Pretends that the device has memory for so many pages.
     #[cfg(test)]
     pub(crate) fn limit_pages(&mut self, most: usize) {
-        self.on_gpu.atlas.get_or_insert_with(|| crate::atlas::Atlas::new(&self.gpu)).most = most;
+        self.atlas().most = most;
+    }
+
+    /// The atlas of pages, for tests of its limits.
+    #[cfg(test)]
+    pub(crate) fn atlas(&mut self) -> &mut crate::atlas::Atlas {
+        self.on_gpu.atlas.get_or_insert_with(|| crate::atlas::Atlas::new(&self.gpu))
     }
 
     /// See [`isinglass_core::kernels::march::render`].

@@ -28,15 +28,14 @@ impl Pages {
     /// Shows a camera the finest pages that fit into memory. A note says what is not of the finest level.
     pub(crate) fn show(&self, renderer: &mut Renderer, camera: &Camera) -> Result<()> {
         let scene = renderer.scene().without_pages();
-        let Some(mut pages) = self.settled(&scene, camera) else { return Ok(()) };
-        let shown = match renderer.set_scene(scene.with_pages(pages.set.clone(), None)) {
-            Err(GpuError::Pages { most }) => {
-                self.0.iter().for_each(|pager| pager.limit(most));
-                pages = self.settled(&scene, camera).unwrap_or(pages);
-                renderer.set_scene(scene.with_pages(pages.set, None))
-            }
-            shown => shown,
-        };
+        let (Some(pager), Some(mut pages)) = (&self.0, self.settled(&scene, camera)) else { return Ok(()) };
+        let mut shown = renderer.set_scene(scene.with_pages(pages.set.clone(), None));
+        while let Err(GpuError::Pages { most }) = shown
+            && pager.limit(most)
+        {
+            pages = self.settled(&scene, camera).unwrap_or(pages);
+            shown = renderer.set_scene(scene.with_pages(pages.set.clone(), None));
+        }
         shown?;
         check(&pages.part.progress, true)
     }

@@ -3,6 +3,8 @@
 //! A device gets the volume when the first viewer comes to it. Until then, and when it is lost, the others do the work
 //! of its viewers. When the last one is lost, its thread goes on with the CPU. What the CPU computes for a look is shared.
 
+use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
@@ -66,6 +68,10 @@ struct DispatchState {
     placement: Placement,
     slots: Vec<Slot>,
     shown: ShownScene,
+    /// The sessions of each viewer that is there.
+    present: HashMap<ViewerId, usize>,
+    /// Whether no thread starts any more.
+    is_over: bool,
 }
 
 struct Slot {
@@ -90,6 +96,12 @@ impl Site {
     /// The device has worked for so long.
     pub(crate) fn note_rendering(&self, micros: u64) {
         self.micros.fetch_add(micros, Ordering::Relaxed);
+    }
+
+    /// Whether a viewer is still there.
+    pub(crate) fn is_here(&self, viewer: ViewerId) -> bool {
+        let shared = self.shared.upgrade();
+        shared.is_none_or(|shared| shared.state().present.contains_key(&viewer))
     }
 
     /// The device makes no more frames. Returns whether others do; if not, the thread goes on with the CPU.
@@ -140,7 +152,13 @@ impl Dispatch {
         };
         let slots = devices.each().iter().map(slot).collect();
         let shared = Arc::new(RenderThreads {
-            state: Mutex::new(DispatchState { placement: Placement::new(num), slots, shown: shown.clone() }),
+            state: Mutex::new(DispatchState {
+                placement: Placement::new(num),
+                slots,
+                shown: shown.clone(),
+                present: HashMap::new(),
+                is_over: false,
+            }),
             changed: watch::channel(()).0,
             after_work,
             counters,
@@ -172,10 +190,10 @@ impl Dispatch {
             let mut changed = self.0.changed.subscribe();
             changed.borrow_and_update();
             let (place, jobs) = self.place(viewer);
-            if let Some(device) = place.start {
+            let starting = place.start.map(|device| {
                 let shared = self.0.clone();
-                tokio::task::spawn_blocking(move || shared.make_ready(device));
-            }
+                tokio::task::spawn_blocking(move || shared.make_ready(device, Backend::renderer))
+            });
             match (place.device, jobs) {
                 (Some(device), Some(jobs)) => match jobs.send(job).await {
                     Ok(()) => return Some(self.begin(viewer)),
@@ -184,7 +202,16 @@ impl Dispatch {
                         self.0.note_ended(device, &jobs)?;
                     }
                 },
-                _ => changed.changed().await.ok()?,
+                _ => {
+                    let has_failed = match starting {
+                        Some(starting) => !starting.await.ok()?,
+                        None => false,
+                    };
+                    if has_failed {
+                        return None;
+                    }
+                    changed.changed().await.ok()?;
+                }
             }
         }
     }
@@ -197,6 +224,10 @@ impl Dispatch {
     fn place(&self, viewer: ViewerId) -> (Place, Option<mpsc::Sender<Job>>) {
         let mut state = self.0.state();
         let place = state.placement.place(viewer, Instant::now());
+        if !state.present.contains_key(&viewer) {
+            // It has left, and this is its last order.
+            state.placement.forget(viewer);
+        }
         let jobs = place.device.and_then(|device| state.slots[device].jobs.clone());
         (place, jobs)
     }
@@ -204,6 +235,7 @@ impl Dispatch {
     /// Ends all threads: a driver may crash when a process ends while a thread uses it. Work that takes long is left
     /// behind.
     pub(crate) async fn stop(&self) {
+        self.0.state().is_over = true;
         let stopped = self.tell_all(|reply| Job::Stop { reply });
         let _ = tokio::time::timeout(MOST_FOR_STOPPING, stopped).await;
     }
@@ -244,9 +276,21 @@ impl Dispatch {
         state.slots.iter().enumerate().map(of_slot).collect()
     }
 
-    /// A viewer has left.
+    /// A viewer has come.
+    pub(crate) fn enter(&self, viewer: ViewerId) {
+        *self.0.state().present.entry(viewer).or_default() += 1;
+    }
+
+    /// A viewer has left. Another session of it may be there.
     pub(crate) fn forget(&self, viewer: ViewerId) {
-        self.0.state().placement.forget(viewer);
+        let mut state = self.0.state();
+        let others = state.present.get(&viewer).map_or(0, |sessions| sessions.saturating_sub(1));
+        if others > 0 {
+            state.present.insert(viewer, others);
+        } else {
+            state.present.remove(&viewer);
+            state.placement.forget(viewer);
+        }
     }
 
     /// Shows another scene. Devices that are in use get it before this returns, the others when somebody needs them.
@@ -320,6 +364,7 @@ impl RenderThreads {
             look,
             scene: number,
             lights,
+            awaits_light: false,
             pager,
             after_work: self.after_work.clone(),
             company: slot.company.clone(),
@@ -352,14 +397,21 @@ impl RenderThreads {
         Ok(())
     }
 
-    /// Brings the shown scene to a device. If that fails, others do its work; the last one gets the CPU.
-    fn make_ready(self: &Arc<Self>, device: usize) {
-        loop {
+    /// Brings the shown scene to a device. If that fails, others do its work; the last one gets the CPU. Returns false
+    /// if even that has no thread: then the next order tries again.
+    fn make_ready(
+        self: &Arc<Self>,
+        device: usize,
+        make: fn(&Backend, Scene) -> Result<Renderer, GpuError>,
+    ) -> bool {
+        let is_there = loop {
             let (backend, shown) = {
                 let state = self.state();
                 (state.slots[device].backend.clone(), state.shown.clone())
             };
-            let made = backend.renderer(shown.scene.clone());
+            // A driver may panic, and viewers wait.
+            let made = catch_unwind(AssertUnwindSafe(|| make(&backend, shown.scene.clone())));
+            let made = made.unwrap_or_else(|_| Err(panicked()));
             let mut state = self.state();
             if state.shown.number != shown.number {
                 continue;
@@ -379,24 +431,29 @@ impl RenderThreads {
                 }
             };
             let started = renderer.map(|renderer| self.run(&mut state, device, renderer));
-            if let Some(Err(e)) = started {
-                tracing::error!("{e}");
-                state.placement.lose(device);
-            }
-            break;
-        }
+            let Some(Err(e)) = started else { break true };
+            tracing::error!("{e}");
+            break state.placement.lose_or_rest(device);
+        };
         self.changed.send_replace(());
+        is_there
     }
 
-    /// The thread of a device has ended by itself. `None` if there is no other.
+    /// The thread of a device has ended by itself. Others do its work, or it starts again. `None` if the server ends.
     fn note_ended(&self, device: usize, jobs: &mpsc::Sender<Job>) -> Option<()> {
-        let mut state = self.state();
-        let slot = &mut state.slots[device];
-        if slot.jobs.take_if(|present| present.same_channel(jobs)).is_none() {
-            // Somebody knows already.
-            return Some(());
+        {
+            let mut state = self.state();
+            if state.is_over {
+                return None;
+            }
+            let slot = &mut state.slots[device];
+            // Somebody may know already.
+            if slot.jobs.take_if(|present| present.same_channel(jobs)).is_some() {
+                state.placement.lose_or_rest(device);
+            }
         }
-        state.placement.lose(device).then_some(())
+        self.changed.send_replace(());
+        Some(())
     }
 
     /// Puts a scene in the place of the one before: on the devices of `made` at once. Others make room first, and get it
@@ -444,7 +501,14 @@ impl RenderThreads {
     }
 }
 
+fn panicked() -> GpuError {
+    GpuError::Failed { what: "getting ready", reason: "it panicked".into() }
+}
+
 /// Most jobs on their way to a thread. Every viewer waits for one frame and one piece of a picture at most.
 const MAX_JOBS: usize = 16;
 /// Time in which threads end.
 const MOST_FOR_STOPPING: Duration = Duration::from_secs(5);
+
+#[cfg(test)]
+mod tests;

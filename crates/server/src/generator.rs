@@ -217,10 +217,10 @@ impl Generator {
 
     /// Forgets the pages that the threads show, so that their memory is free.
     pub(crate) async fn forget_pages(&self, scene: SceneNumber, lights: &Lights) {
-        lights.forget_pages();
+        lights.forget_pages().await;
         self.dispatch.tell_all(|reply| Job::ForgetPages { scene, reply }).await;
         // A thread may have noted its pages meanwhile.
-        lights.forget_pages();
+        lights.forget_pages().await;
     }
 
     /// Lights all pages that were shown last as `lit` does, piece by piece and beside the frames. All threads show each
@@ -263,8 +263,9 @@ impl Generator {
         background: Option<[f32; 3]>,
     ) -> Option<Result<Vec<u8>, GenerateError>> {
         let _turn = self.pictures.acquire().await.ok()?;
-        let lit =
-            if look.lighting.is_on() { Some(lights.scene(look, Some((self, scene))).await?) } else { None };
+        // Even plain shading takes a while for pages.
+        let needs_light = look.lighting.is_on() || pages.is_some();
+        let lit = if needs_light { Some(lights.scene(look, Some((self, scene))).await?) } else { None };
         let (mut srgb, mut first, mut has_failed, mut num_pixels) = (Vec::new(), 0, false, None);
         while first < camera.intrinsics.height {
             let (reply, answer) = oneshot::channel();

@@ -95,6 +95,17 @@ impl Lights {
         scene
     }
 
+    /// The same for a scene that waits for its light. Pages that are lit for it meanwhile stay noted.
+    pub(crate) fn with_dark_pages(&self, scene: &Scene, set: &Arc<PageSet>) -> Scene {
+        let newest = lock(&self.paged).clone();
+        let scene = scene.with_pages(set.clone(), newest.as_ref());
+        let mut newest = lock(&self.paged);
+        if newest.as_ref().is_none_or(|newest| !newest.is_seen_like(&scene)) {
+            *newest = Some(scene.clone());
+        }
+        scene
+    }
+
     /// Puts lit pages in the place of those that were shown last, and returns some that the light of `lit` has not
     /// reached.
     pub(crate) fn pages_to_light(&self, lit: &Scene, pages: &[LitPage]) -> Vec<Arc<Page>> {
@@ -107,9 +118,12 @@ impl Lights {
         paged.pages_to_light(lit, PAGES_AT_ONCE)
     }
 
-    /// Forgets the pages that were shown last.
-    pub(crate) fn forget_pages(&self) {
-        *lock(&self.paged) = None;
+    /// Forgets the pages that were shown last. A rendering thread may hold them for a while, so another thread waits.
+    pub(crate) async fn forget_pages(&self) {
+        let paged = self.paged.clone();
+        if let Err(e) = tokio::task::spawn_blocking(move || *lock(&paged) = None).await {
+            tracing::error!("pages are not forgotten: {e}");
+        }
     }
 
     /// The scene of a look, computed if necessary. `None` if that failed. Pages that the generator shows are lit, too,

@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use isinglass_core::kernels::march::{Scene, SeenPages};
+use isinglass_core::layer::Fineness;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{
     Page, PageError, PageId, PagePlan, PageRanges, PageSet, PageSource, PageValues, PageView, Paging,
@@ -26,9 +27,15 @@ pub struct FramePages {
 }
 
 impl FramePages {
-    /// Whether a resting camera will get better ones.
-    pub fn is_draft(&self) -> bool {
-        !self.rests || self.is_paused || self.part.progress.is_loading()
+    /// What a frame of them shows.
+    pub fn fineness(&self) -> Fineness {
+        if !self.rests || self.is_paused || self.part.progress.is_loading() {
+            Fineness::Draft
+        } else if self.part.progress.is_exact() {
+            Fineness::Whole
+        } else {
+            Fineness::Bounded
+        }
     }
 }
 
@@ -147,10 +154,14 @@ impl Pager {
         self.shared.max_bytes
     }
 
-    /// The renderer has memory for at most so many pages at once. Later views get no more.
-    pub fn limit(&self, most: usize) {
-        tracing::warn!("the renderer has memory for {most} pages of the volume at once");
-        self.shared.state().residency.limit(most);
+    /// The renderer has memory for at most so many pages at once. Later views get no more. Returns whether that is less
+    /// than was known.
+    pub fn limit(&self, most: usize) -> bool {
+        let is_less = self.shared.state().residency.limit(most);
+        if is_less {
+            tracing::warn!("the renderer has memory for {most} pages of the volume at once");
+        }
+        is_less
     }
 
     /// The pages for a viewer's next frame of `scene`. What is missing is read from now on.
@@ -399,3 +410,6 @@ const MAX_READERS: usize = 8;
 const LARGE_BLOCK: i32 = 256 << 10;
 /// Time between looks at what is there.
 const POLL: std::time::Duration = std::time::Duration::from_millis(5);
+
+#[cfg(test)]
+pub(crate) mod in_memory;

@@ -70,6 +70,15 @@ impl Placement {
         has_others
     }
 
+    /// The same, but the last one gets ready again when somebody needs it.
+    pub(crate) fn lose_or_rest(&mut self, device: usize) -> bool {
+        let has_others = self.lose(device);
+        if !has_others {
+            self.devices[device] = Device::Idle;
+        }
+        has_others
+    }
+
     /// The device of a viewer's orders, if it has one.
     pub(crate) fn device_of(&self, viewer: ViewerId) -> Option<usize> {
         self.viewers.get(&viewer).map(|placed| placed.device)

@@ -11,7 +11,7 @@ use isinglass_core::kernels::march::{LitPage, Scene};
 use isinglass_core::look::Look;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::session::frames::within;
-use isinglass_core::volume::{Detail, Occlusion, PageView};
+use isinglass_core::volume::{Detail, Lighting, Occlusion, PageView};
 use isinglass_gpu::GpuError;
 use isinglass_net::{AfterWork, Work};
 use isinglass_render::{Piece, Renderer};
@@ -32,6 +32,8 @@ pub(crate) struct RenderThread {
     pub(crate) look: Look,
     pub(crate) scene: SceneNumber,
     pub(crate) lights: Lights,
+    /// Whether frames have no light until that of the look is there.
+    pub(crate) awaits_light: bool,
     /// Reads the pages, if the volume is read by pages.
     pub(crate) pager: Option<Pager>,
     pub(crate) after_work: AfterWork,
@@ -230,8 +232,16 @@ impl RenderThread {
                 let view =
                     PageView { camera: order.header.camera, region: scene.region(), rests: order.rests };
                 pages = Some(pager.pages(order.viewer, &view, scene));
+                if !self.site.is_here(order.viewer) {
+                    // It has left meanwhile, and must not keep a share of the memory.
+                    pager.forget(order.viewer.0);
+                }
             }
-            self.show(pages.as_ref())?;
+            if let Err(e) = self.show(pages.as_ref()) {
+                // The frame begins anew, with a plan of fewer pages.
+                *begun = None;
+                return if self.may_plan_fewer(&e) { Ok(None) } else { Err(e) };
+            }
         }
         let begun = match begun {
             Some(begun) => begun,
@@ -267,7 +277,7 @@ impl RenderThread {
                 job.begun = None;
                 Ok(None)
             }
-            Piece::Whole(frame) => {
+            Piece::Whole(mut frame) => {
                 let ended = Instant::now();
                 self.after_work.note(Work::Generate, Duration::from_micros(*spent_micros));
                 *spent_micros += ended.elapsed().as_micros() as u64;
@@ -279,6 +289,7 @@ impl RenderThread {
                     Some(pager) => pager.with_others(order.viewer, pages),
                     None => pages,
                 });
+                frame.header_mut().fineness = pages.as_ref().map(FramePages::fineness).unwrap_or_default();
                 Ok(Some(Generated { frame, _held: held, generate_micros, is_draft, occlusion, pages }))
             }
         }
@@ -288,7 +299,9 @@ impl RenderThread {
     fn rows(&mut self, job: &RowsJob) -> Result<Rows, GenerateError> {
         let started = Instant::now();
         self.prepare(job.scene, &job.look, None, job.lit.as_ref())?;
-        self.show(job.pages.as_ref())?;
+        self.show(job.pages.as_ref()).inspect_err(|e| {
+            self.may_plan_fewer(e);
+        })?;
         let Intrinsics { width, height, .. } = job.camera.intrinsics;
         let most = match self.renderer {
             Renderer::Gpu(_) => GPU_PIXELS,
@@ -320,10 +333,22 @@ impl RenderThread {
         }
         let plain = || self.lights.known_without_shade(look, || self.renderer.scene().without_pages());
         match lit.cloned().or_else(|| self.lights.known(look)).or_else(plain) {
-            Some(lit) => self.renderer.set_scene(lit)?,
+            Some(lit) => {
+                self.renderer.set_scene(lit)?;
+                self.awaits_light = false;
+            }
             None if is_set => return Ok(()),
             None => {
-                let draft = self.renderer.scene().without_pages().under(look, Detail::Draft, near);
+                let shown = self.renderer.scene().without_pages();
+                let mut draft = shown.under(look, Detail::Draft, near);
+                let is_lit = |scene: &Scene| scene.illumination.lit().is_some();
+                // To light all pages takes a while, so that happens beside the frames.
+                self.awaits_light = self.pager.is_some() && !is_lit(&shown) && is_lit(&draft);
+                if self.awaits_light {
+                    let lighting = Lighting { ambient_occlusion: 0.0, shadows: 0.0, ..look.lighting };
+                    let dark = Look { shaded: false, lighting, ..look.clone() };
+                    draft = shown.under(&dark, Detail::Draft, None);
+                }
                 self.renderer.set_scene(draft)?;
             }
         }
@@ -339,22 +364,26 @@ impl RenderThread {
             return Ok(());
         }
         let scene = match pages {
+            Some(pages) if self.awaits_light => self.lights.with_dark_pages(scene, &pages.set),
             Some(pages) => self.lights.with_pages(scene, &pages.set),
             None => scene.without_pages(),
         };
-        let shown = self.renderer.set_scene(scene);
-        if let (Err(GpuError::Pages { most }), Some(pager)) = (&shown, &self.pager) {
-            // The next frame gets fewer.
-            pager.limit(*most);
+        Ok(self.renderer.set_scene(scene)?)
+    }
+
+    /// Whether plans have fewer pages from now on, because the device turned out to have too little memory.
+    fn may_plan_fewer(&self, error: &GenerateError) -> bool {
+        match (error, &self.pager) {
+            (GenerateError::Gpu(GpuError::Pages { most }), Some(pager)) => pager.limit(*most),
+            _ => false,
         }
-        Ok(shown?)
     }
 
     /// Shows pages that are lit: the renderer keeps no brightness that nobody shows any more.
     fn light(&mut self, lit: &Scene, pages: &[LitPage]) -> Result<(), GenerateError> {
         let shown = self.renderer.scene();
         // Pages under another look have other visible bricks.
-        if shown.is_seen_like(lit) {
+        if shown.is_seen_like(lit) && !self.awaits_light {
             let scene = shown.with_lit_pages(pages);
             self.renderer.set_scene(scene)?;
         }
@@ -362,7 +391,7 @@ impl RenderThread {
     }
 
     fn is_final(&self) -> bool {
-        self.renderer.scene().is_final()
+        !self.awaits_light && self.renderer.scene().is_final()
     }
 }
 

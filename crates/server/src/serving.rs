@@ -143,10 +143,11 @@ impl Drop for Viewer {
         if let Some((_, refining)) = &self.refining {
             refining.abort();
         }
+        // From now on, its last orders leave nothing behind.
+        self.common.generator.dispatch.forget(self.session.viewer);
         if let Some(pager) = &self.present.pager {
             pager.forget(self.session.viewer.0);
         }
-        self.common.generator.dispatch.forget(self.session.viewer);
     }
 }
 
@@ -174,6 +175,7 @@ impl Viewer {
         let page_changes = present.pager.as_ref().map(Pager::changes);
         let mut viewers_changed = common.audience.subscribe();
         let presence = common.audience.enter(session.viewer, session.id, &session.name);
+        common.generator.dispatch.enter(session.viewer);
         viewers_changed.mark_changed();
         Self {
             session,
@@ -311,9 +313,12 @@ impl Viewer {
     /// From now on the viewer gets the present volume.
     fn turn_to_present(&mut self, before: Option<&Present>) {
         let now = self.now_micros();
+        self.inquiries.give_up();
         let Present { greeting, lights, .. } = &*self.present;
         {
             let mut talk = self.session.talk();
+            talk.probe.handle_volume();
+            talk.profile.handle_volume();
             // Equal values keep their colours.
             let before = before.filter(|before| before.has_values_like(&self.present));
             let at_values = before.map(|before| before.lights.at_values(talk.look.look()));
@@ -323,7 +328,6 @@ impl Viewer {
             talk.slices.handle_volume(since);
         }
         self.frames.handle_volume();
-        self.inquiries.give_up();
         self.session.talk().pages.handle_volume();
         (self.shown_pages, self.resting_pose) = (None, None);
         self.page_changes = self.present.pager.as_ref().map(Pager::changes);

@@ -108,6 +108,7 @@ mod tests {
             camera,
             k: 4,
             mode: Default::default(),
+            fineness: Default::default(),
         };
         let mut times = Life::new(header.frame, header.pose);
         times.connection = 1;

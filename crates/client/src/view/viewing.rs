@@ -8,7 +8,7 @@ use std::time::Duration;
 use isinglass_core::camera::{Camera, Intrinsics, Pose, Projection};
 use isinglass_core::clip::Clip;
 use isinglass_core::ids::PoseId;
-use isinglass_core::layer::{MAX_K, max_lists};
+use isinglass_core::layer::{Fineness, MAX_K, max_lists};
 use isinglass_core::look::Look;
 use isinglass_core::prediction::Predictor;
 use isinglass_core::session::ledger::Stage;
@@ -426,8 +426,7 @@ impl<S: FrameSource> Viewing<S> {
         let Some(frame) = frame else { return Standing::Waiting };
         let is_connected = self.source.state() == State::Connected && !self.source.stats().is_silent();
         if is_connected && self.is_settled(now, frame, (pose, full)) {
-            // The finest pages that fit are not the volume itself.
-            let is_whole = self.source.talk().pages.progress().is_none_or(|pages| pages.is_exact());
+            let is_whole = frame.frame.header.fineness == Fineness::Whole;
             if full == picture && frame.is_exact && is_whole { Standing::Exact } else { Standing::Settled }
         } else if self.is_moving(now) {
             Standing::Moving
@@ -449,7 +448,8 @@ impl<S: FrameSource> Viewing<S> {
             let talk = self.source.talk();
             !talk.look.is_draft() && talk.look.is_chosen(frame.frame.header.look)
         };
-        is_own(frame, own) && is_last && is_of_look()
+        let is_final = frame.frame.header.fineness != Fineness::Draft;
+        is_own(frame, own) && is_last && is_final && is_of_look()
     }
 
     fn age(&self, now: Duration, frame: &ReceivedFrame, own: (Pose, Intrinsics)) -> Option<Duration> {

@@ -6,7 +6,7 @@ use super::error::{CodecError, at_most};
 use super::limits::{MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_FRAME_LISTS};
 use crate::camera::{Camera, Intrinsics, Pose, Projection};
 use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId};
-use crate::layer::{FrameHeader, MAX_K};
+use crate::layer::{Fineness, FrameHeader, MAX_K};
 use crate::mode::Mode;
 
 /// The header of a chunk.
@@ -39,7 +39,8 @@ impl ChunkHeader {
         let mut w = Writer { bytes: [0; HEADER_BYTES], at: 0 };
         let camera = &self.frame.camera;
         w.put(MAGIC);
-        w.put([VERSION, self.frame.k, self.is_exact.into(), self.frame.mode as u8]);
+        let kind = u8::from(self.is_exact) + 2 * self.frame.fineness as u8;
+        w.put([VERSION, self.frame.k, kind, self.frame.mode as u8]);
         w.put(self.index.0.to_le_bytes());
         w.put(u16::from(self.num_chunks).to_le_bytes());
         w.put(self.frame.frame.0.to_le_bytes());
@@ -76,7 +77,7 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
     if magic != MAGIC {
         return Err(CodecError::Magic(magic));
     }
-    let [version, k, is_exact, mode] = r.take();
+    let [version, k, kind, mode] = r.take();
     if version != VERSION {
         return Err(CodecError::Version { found: version, expected: VERSION });
     }
@@ -106,12 +107,13 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
     }
     at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
     in_range("k", k.into(), 1, MAX_K)?;
-    in_range("coding", is_exact.into(), 0, 1)?;
+    in_range("coding and fineness", kind.into(), 0, 2 * Fineness::ALL.len() - 1)?;
     in_range("number of chunks", num_chunks.into(), 1, MAX_CHUNKS.min(num_tiles(height)))?;
     in_range("chunk index", index.0.into(), 0, usize::from(num_chunks) - 1)?;
     in_range("payload length", payload_bytes as usize, 0, MAX_CHUNK_BYTES - HEADER_BYTES)?;
     in_range("mode", mode.into(), 0, Mode::ALL.len() - 1)?;
-    let (is_exact, mode) = (is_exact == 1, Mode::ALL[usize::from(mode)]);
+    let (is_exact, fineness) = (kind % 2 == 1, Fineness::ALL[usize::from(kind / 2)]);
+    let mode = Mode::ALL[usize::from(mode)];
     if !is_exact && mode.is_projection() {
         return Err(CodecError::Header {
             what: "mode of a frame in blocks",
@@ -119,7 +121,7 @@ pub fn peek(bytes: &[u8]) -> Result<ChunkHeader, CodecError> {
             expected: "composite or iso".into(),
         });
     }
-    let frame = FrameHeader { frame, pose, look, camera, k, mode };
+    let frame = FrameHeader { frame, pose, look, camera, k, mode, fineness };
     Ok(ChunkHeader { frame, is_exact, index, num_chunks: num_chunks as u8, payload_bytes })
 }
 

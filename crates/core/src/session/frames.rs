@@ -8,7 +8,7 @@ use super::rate::{CodingControl, CodingMode, CodingPlan, LinkState};
 use crate::camera::{Camera, Intrinsics};
 use crate::codec::Coding;
 use crate::ids::{FrameId, LookVersion, PoseId};
-use crate::layer::{FrameHeader, max_lists};
+use crate::layer::{Fineness, FrameHeader, max_lists};
 use crate::mode::Compositing;
 use crate::space::Aabb;
 use crate::wire::PoseRequest;
@@ -152,6 +152,7 @@ impl FramesServer {
             camera: Camera::new(request.pose, self.size_of(request, k), bounds),
             k,
             mode: Default::default(),
+            fineness: Default::default(),
         };
         Asked { request: *request, header, at_micros: now_micros, is_again }
     }
@@ -285,6 +286,7 @@ impl FramesServer {
         let header = &sent.asked.header;
         // A draft is about to be replaced.
         let is_newest = !look.is_draft()
+            && header.fineness != Fineness::Draft
             && self.is_answered(header.pose, look.version())
             && header.look == look.version();
         let num_lists = header.camera.intrinsics.num_pixels();
@@ -299,6 +301,7 @@ impl FramesServer {
         let is_exact = self.sent.as_ref().is_some_and(|sent| {
             let of_sent = &sent.asked.header;
             matches!(sent.coding, Coding::Exact)
+                && of_sent.fineness != Fineness::Draft
                 && of_sent.camera.pose == header.camera.pose
                 && is_same_picture(&of_sent.camera.intrinsics, &header.camera.intrinsics)
                 && of_sent.look == header.look
@@ -505,7 +508,15 @@ mod tests {
         }
         // Neither a draft nor an older look is made finer.
         let (mut frames, mut looks) = of_server();
-        send(&mut frames, &looks, 300_000, &request(4, 0.5));
+        let mut sending = send(&mut frames, &looks, 300_000, &request(4, 0.5));
+        assert!(frames.finer_due(&looks).is_some());
+        sending.asked.header.fineness = Fineness::Draft;
+        frames.handle_sent(Sending { coding: Coding::Exact, ..sending.clone() });
+        assert!(!frames.shows_exactly(&sending.asked.header), "finer pages come");
+        frames.handle_sent(sending.clone());
+        assert_eq!(frames.finer_due(&looks), None);
+        sending.asked.header.fineness = Fineness::Bounded;
+        frames.handle_sent(sending);
         assert!(frames.finer_due(&looks).is_some());
         looks.begin(300_000, look("other"), false);
         assert_eq!(frames.finer_due(&looks), None);

@@ -6,7 +6,7 @@ use crate::volume::ValuesAt;
 use crate::wire::{ClientMessage, ServerMessage};
 
 /// What a client can ask of the shown volume.
-pub trait Question: Copy {
+pub trait Question: Copy + PartialEq {
     /// The answer.
     type Answer;
     /// Least time between two questions, µs.
@@ -14,7 +14,7 @@ pub trait Question: Copy {
 
     /// Number of the question.
     fn id(&self) -> ProbeId;
-    /// Number of the question that was answered.
+    /// Number of the question that an answer is for.
     fn id_of(answer: &Self::Answer) -> ProbeId;
     /// The question in a message, if it is one.
     fn in_message(message: &ClientMessage) -> Option<Self>;
@@ -96,7 +96,7 @@ impl<Q: Question> InquiryClient<Q> {
 pub struct InquiryServer<Q: Question> {
     asked: Option<Q>,
     /// The question that was answered last.
-    answered: Option<ProbeId>,
+    answered: Option<Q>,
     answer: Option<Q::Answer>,
 }
 
@@ -127,7 +127,7 @@ impl<Q: Question> InquiryServer<Q> {
     /// Takes the question, whose answer comes later.
     pub fn take(&mut self) -> Option<Q> {
         let question = self.asked.take()?;
-        self.answered = Some(question.id());
+        self.answered = Some(question);
         Some(question)
     }
 
@@ -137,15 +137,72 @@ impl<Q: Question> InquiryServer<Q> {
         self.answer = Some(answer);
     }
 
-    /// Finer values are there. They are sent if nothing else was asked meanwhile.
-    pub fn handle_finer(&mut self, answer: Q::Answer) {
-        if self.asked.is_none() && self.answered == Some(Q::id_of(&answer)) {
+    /// Finer values are there. They are sent if nothing else was asked meanwhile, and the volume is the same.
+    pub fn handle_finer(&mut self, question: &Q, answer: Q::Answer) {
+        if self.asked.is_none() && self.answered.as_ref() == Some(question) {
             self.answer = Some(answer);
         }
+    }
+
+    /// Another volume is shown. An answer that is not sent yet is looked up again.
+    pub fn handle_volume(&mut self) {
+        let unsent = self.answered.take().filter(|_| self.answer.is_some());
+        (self.asked, self.answer) = (self.asked.or(unsent), None);
     }
 
     /// The next message.
     pub fn poll_message(&mut self) -> Option<ServerMessage> {
         self.answer.take().map(Q::message_of)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::probe::ProbeServer;
+    use crate::volume::Volume;
+    use crate::volume::procedural::Builtin;
+    use crate::wire::ProbeRequest;
+
+    fn ask(server: &mut ProbeServer, id: u32, x: f32) -> ProbeRequest {
+        let question = ProbeRequest { id: ProbeId(id), point: [x, 0.0, 0.0] };
+        server.handle_message(&question.to_message());
+        question
+    }
+
+    fn told(server: &mut ProbeServer) -> Option<(ProbeId, f32)> {
+        let answer = ProbeRequest::answer_in(&server.poll_message()?)?;
+        Some((answer.id, answer.point[0]))
+    }
+
+    #[test]
+    fn finer_values_go_out_for_the_question_and_the_volume_that_they_are_of() {
+        let volume: &Volume = &Builtin::Shells.volume(16);
+        let mut server = ProbeServer::default();
+        let first = ask(&mut server, 5, 0.1);
+        assert_eq!(server.answer(&mut &*volume), Some(first));
+        let finer = |question: &ProbeRequest| question.answer_from(&mut &*volume);
+        assert!(told(&mut server).is_some());
+        server.handle_finer(&first, finer(&first));
+        assert_eq!(told(&mut server), Some((ProbeId(5), 0.1)), "the control");
+        // The same number, but another point.
+        let second = ask(&mut server, 5, 0.2);
+        server.handle_finer(&first, finer(&first));
+        assert_eq!(told(&mut server), None, "something else is asked");
+        server.answer(&mut &*volume);
+        assert_eq!(told(&mut server), Some((ProbeId(5), 0.2)));
+        server.handle_finer(&first, finer(&first));
+        assert_eq!(told(&mut server), None, "it is of an older question");
+        // The same question, but another volume.
+        server.handle_volume();
+        server.handle_finer(&second, finer(&second));
+        assert_eq!((told(&mut server), server.is_asked()), (None, false));
+        // An answer that was not sent is one of the new volume.
+        let third = ask(&mut server, 6, 0.3);
+        server.answer(&mut &*volume);
+        server.handle_volume();
+        assert_eq!(told(&mut server), None);
+        assert_eq!(server.answer(&mut &*volume), Some(third));
+        assert_eq!(told(&mut server), Some((ProbeId(6), 0.3)));
     }
 }

@@ -206,8 +206,6 @@ pub struct LookServer {
     usual: TransferFunction,
     version: LookVersion,
     shade: ShadeProgress,
-    /// Whether the newest frame lacks pages that are still to be read.
-    lacks_pages: bool,
     wanted: Option<Look>,
     /// A new volume that is not announced yet.
     volume: Option<VolumeDescription>,
@@ -241,8 +239,8 @@ impl LookServer {
     pub fn new(version: LookVersion, look: Look) -> Self {
         let usual = look.transfer.clone();
         let (look, shade) = (Arc::new(look), ShadeProgress::Whole);
-        let (lacks_pages, wanted, volume, is_untold) = (false, None, None, false);
-        Self { look, usual, version, shade, lacks_pages, wanted, volume, is_untold }
+        let (wanted, volume, is_untold) = (None, None, false);
+        Self { look, usual, version, shade, wanted, volume, is_untold }
     }
 
     /// The look of frames from now on.
@@ -255,19 +253,9 @@ impl LookServer {
         self.version
     }
 
-    /// Whether better frames of this version or the next one will come: the shade is a draft, or pages are missing.
+    /// Whether the shade is a draft, so that better frames of the next version will come.
     pub fn is_draft(&self) -> bool {
-        self.has_draft_shade() || self.lacks_pages
-    }
-
-    fn has_draft_shade(&self) -> bool {
         self.shade != ShadeProgress::Whole
-    }
-
-    /// Sets whether the newest frame lacks pages of the volume that are still to be read.
-    pub fn handle_pages(&mut self, lacks_pages: bool) {
-        self.is_untold |= self.lacks_pages != lacks_pages;
-        self.lacks_pages = lacks_pages;
     }
 
     /// A message has arrived. Only the newest look remains.
@@ -311,7 +299,7 @@ impl LookServer {
         if is_usual {
             self.usual = self.look.transfer.clone();
         }
-        (self.volume, self.lacks_pages) = (Some(volume), false);
+        self.volume = Some(volume);
         self.begin_version(now_micros, is_whole(&self.look));
     }
 
@@ -341,7 +329,7 @@ impl LookServer {
         version: LookVersion,
         is_draft: bool,
     ) -> GeneratedLook {
-        if version != self.version || is_draft == self.has_draft_shade() {
+        if version != self.version || is_draft == self.is_draft() {
             return GeneratedLook::Usable;
         }
         if is_draft {

@@ -350,11 +350,14 @@ impl Residency {
         &self.pyramid
     }
 
-    /// There is memory for at most so many pages in all, those of the coarsest level among them.
-    pub fn limit(&mut self, most: usize) {
-        self.limit = self.limit.min(most.saturating_sub(self.base.len()));
+    /// There is memory for at most so many pages in all, those of the coarsest level among them. Returns whether that is
+    /// less than was known.
+    pub fn limit(&mut self, most: usize) -> bool {
+        let before = self.limit;
+        self.limit = before.min(most.saturating_sub(self.base.len()));
         self.max_pages = self.max_pages.min(self.limit);
         self.evict();
+        self.limit < before
     }
 
     /// Pages that one more viewer's plan may take.

@@ -90,14 +90,9 @@ impl PageIndexBuilder {
         let (pages, num_channels) = (pyramid.pages(0), pyramid.value_maps.len());
         let num_pages: u64 = pages.iter().map(|&n| u64::from(n)).product();
         let num_missing = num_pages.checked_mul(num_channels as u64).filter(|n| *n <= MAX_PAGES)?;
-        let num_bins = match pyramid.kind {
-            VoxelKind::U8 => 1 << 8,
-            VoxelKind::U16 => 1 << 16,
-            VoxelKind::F32 => 1 << FLOAT_BITS,
-        };
         let counts = || ChannelCounts {
             ranges: vec![(f32::NAN, f32::NAN); num_pages as usize],
-            tables: vec![Vec::new(); usize::div_ceil(num_bins, BINS_OF_TABLE)],
+            tables: vec![Vec::new(); num_tables(pyramid.kind)],
         };
         Some(Self {
             level: *pyramid.levels.first()?,
@@ -106,6 +101,14 @@ impl PageIndexBuilder {
             channels: (0..num_channels).map(|_| counts()).collect(),
             num_missing,
         })
+    }
+
+    /// Memory that the builder for a pyramid takes at most, bytes.
+    pub(crate) fn most_bytes(pyramid: &Pyramid) -> u64 {
+        let num_pages = pyramid.pages(0).iter().fold(1u64, |all, &n| all.saturating_mul(n.into()));
+        let tables = (num_tables(pyramid.kind) * BINS_OF_TABLE * size_of::<u64>()) as u64;
+        let of_channel = num_pages.saturating_mul(size_of::<(f32, f32)>() as u64).saturating_add(tables);
+        of_channel.saturating_mul(pyramid.value_maps.len() as u64)
     }
 
     /// Adds a page of the finest level. Other pages, and one that was there before, change nothing.
@@ -195,6 +198,16 @@ impl ChannelCounts {
         let known = KnownNumbers { stored_range: range, histogram: Arc::new(histogram) };
         Some(ChannelIndex { ranges: self.ranges, known })
     }
+}
+
+/// Tables for the numbers of a channel.
+fn num_tables(kind: VoxelKind) -> usize {
+    let num_bins = match kind {
+        VoxelKind::U8 => 1usize << 8,
+        VoxelKind::U16 => 1 << 16,
+        VoxelKind::F32 => 1 << FLOAT_BITS,
+    };
+    num_bins.div_ceil(BINS_OF_TABLE)
 }
 
 /// The index of a page, x fastest.

@@ -6,6 +6,7 @@ pub(crate) mod flat;
 mod index;
 mod index_file;
 mod levels;
+mod noted;
 mod pages;
 
 use std::path::{Path, PathBuf};
@@ -19,10 +20,12 @@ use self::build::{built_index, known_index};
 pub use self::index::{PageIndex, PageIndexBuilder};
 pub(crate) use self::index_file::IndexPlace;
 use self::levels::page_levels;
+use self::noted::NotedPages;
 use self::pages::FilePages;
 use crate::error::{FormatError, shown};
 use crate::outline::PageCount;
 use crate::source::{OpenOptions, open_source};
+use crate::web::is_address;
 
 /// A volume whose pages are read as they are wanted.
 #[derive(Clone)]
@@ -64,7 +67,7 @@ impl PagedFile {
         progress: Option<&dyn Fn(f32)>,
         cancel: Option<&AtomicBool>,
     ) -> Result<PageIndex, FormatError> {
-        built_index(&*self.source, &self.path, progress, cancel)
+        built_index(&*self.pages, &self.path, progress, cancel)
     }
 
     /// Keeps an index in [`OpenOptions::index_folder`] for the next time. Returns its file; `None` without a folder.
@@ -104,7 +107,13 @@ pub fn open_paged(source: &str, options: &OpenOptions) -> Result<PagedFile, Form
     let base = base.into_volume(index.as_ref(), &path, options)?;
     pages.complete(&base);
     let pages = Arc::new(pages);
-    let source = Arc::clone(&pages) as Arc<dyn PageSource>;
+    // Nobody notices when a file of the web changes.
+    let noted = place.clone().filter(|_| index.is_none() && !is_address(&path.to_string_lossy()));
+    let noted = noted.and_then(|place| NotedPages::new(Arc::clone(&pages), place));
+    let source = match noted {
+        Some(noted) => Arc::new(noted) as Arc<dyn PageSource>,
+        None => Arc::clone(&pages) as Arc<dyn PageSource>,
+    };
     Ok(PagedFile { base, source, index: index.map(Arc::new), pages, path, place })
 }
 

@@ -56,8 +56,8 @@ pub(crate) fn pose(n: u32) -> Pose {
 pub(crate) fn frame(frame: FrameId, pose_id: PoseId, pose: Pose, intrinsics: Intrinsics) -> LayeredFrame {
     let bounds = Aabb { min: Vec3::splat(-4.0), max: Vec3::splat(4.0) };
     let camera = Camera::new(pose, intrinsics, &bounds);
-    let header =
-        FrameHeader { frame, pose: pose_id, look: LookVersion(1), camera, k: 4, mode: Default::default() };
+    let look = LookVersion(1);
+    let header = FrameHeader { frame, pose: pose_id, look, ..FrameHeader::alone(camera, 4) };
     let mut out = LayeredFrame::empty(header);
     let mut noise = frame.0.wrapping_mul(2_654_435_761) | 1;
     for list in 0..intrinsics.num_pixels() {

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use isinglass_core::codec::CodecError;
 use isinglass_core::codec::blocks::References;
+use isinglass_core::layer::FrameHeader;
 use isinglass_core::session::frames::{Asked, FramesServer, bounded};
 use isinglass_core::session::look::GeneratedLook;
 use isinglass_core::wire::PoseRequest;
@@ -156,7 +157,8 @@ impl Viewer {
             Ok(generated) => {
                 self.frames.handle_generated(generated.generate_micros);
                 // To keep to its memory, it may be smaller.
-                asked.header.camera = generated.frame.header().camera;
+                let FrameHeader { camera, fineness, .. } = *generated.frame.header();
+                (asked.header.camera, asked.header.fineness) = (camera, fineness);
                 // Without light there is none, and a light that is switched on again begins with the former.
                 if let Some(occlusion) = &generated.occlusion {
                     self.occlusion = Some(occlusion.clone());

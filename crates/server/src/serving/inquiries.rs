@@ -47,11 +47,13 @@ impl Inquiries {
         }
         if talk.probe.is_asked() {
             let coarse = answer_known(&mut talk.probe, present);
-            self.probe = coarse.and_then(|q| self.read(q, present, |talk, a| talk.probe.handle_finer(a)));
+            self.probe =
+                coarse.and_then(|q| self.read(q, present, |talk, q, a| talk.probe.handle_finer(q, a)));
         }
         if talk.profile.is_asked() {
             let coarse = answer_known(&mut talk.profile, present);
-            self.profile = coarse.and_then(|q| self.read(q, present, |talk, a| talk.profile.handle_finer(a)));
+            self.profile =
+                coarse.and_then(|q| self.read(q, present, |talk, q, a| talk.profile.handle_finer(q, a)));
         }
     }
 
@@ -98,7 +100,7 @@ impl Inquiries {
         &self,
         question: Q,
         present: &Arc<Present>,
-        give: impl FnOnce(&mut ServerSession, Q::Answer) + Send + 'static,
+        give: impl FnOnce(&mut ServerSession, &Q, Q::Answer) + Send + 'static,
     ) -> Option<GiveUp>
     where
         Q: Question + Send + 'static,
@@ -117,7 +119,7 @@ impl Inquiries {
             if let Ok(answer) = work.await
                 && wanted()
             {
-                give(&mut control.talk(), answer);
+                give(&mut control.talk(), &question, answer);
             }
         });
         Some(given_up)

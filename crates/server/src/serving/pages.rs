@@ -1,5 +1,6 @@
 //! What one viewer's frames show of a volume that is read by pages.
 
+use isinglass_core::layer::Fineness;
 use isinglass_core::wire::PoseRequest;
 
 use super::Viewer;
@@ -21,12 +22,8 @@ impl Viewer {
     /// A frame was made of these pages.
     pub(super) fn note_pages(&mut self, now: u64, generated: &Generated) {
         let Some(pages) = &generated.pages else { return };
-        let is_draft = pages.is_draft();
-        {
-            let mut talk = self.session.talk();
-            talk.look.handle_pages(is_draft);
-            talk.pages.handle_progress(pages.part.progress);
-        }
+        let is_draft = pages.fineness() == Fineness::Draft;
+        self.session.talk().pages.handle_progress(pages.part.progress);
         let (version, took) = (pages.part.version, generated.generate_micros);
         self.shown_pages = Some(ShownPages { is_draft, version, at: now, took });
     }

@@ -198,6 +198,7 @@ impl Here {
             camera: led.unwrap_or(own),
             k: self.look.1.k,
             mode: Default::default(),
+            fineness: Default::default(),
         };
         let frame = generate(&self.scene, header);
         let times = Life::default();

@@ -9,7 +9,8 @@ use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::session::ClientSession;
 use isinglass_core::session::ledger::{Life, Stage};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
-use isinglass_core::wire::{ClientMessage, ServerStats, Token, VolumeDescription, Welcome};
+use isinglass_core::volume::PageProgress;
+use isinglass_core::wire::{ClientMessage, ServerMessage, ServerStats, Token, VolumeDescription, Welcome};
 use isinglass_net::{ConnectError, LinkStats, Talking};
 
 use super::*;
@@ -26,6 +27,7 @@ pub(crate) struct FakeSource {
     pub(crate) stats: LinkStats,
     /// Whether frames come in blocks.
     pub(crate) in_blocks: bool,
+    pub(crate) fineness: Fineness,
     /// Frames of older looks are of the volume before.
     pub(crate) volume_since: LookVersion,
     /// Why there is no connection.
@@ -113,6 +115,7 @@ impl FakeSource {
             camera: Camera::new(at, intrinsics, &BOUNDS),
             k: 4,
             mode: Default::default(),
+            fineness: self.fineness,
         };
         let micros = pose_set.as_micros() as u64;
         let times = Life::default().with(Stage::Asked, micros).with(Stage::Decoded, micros);
@@ -356,6 +359,27 @@ fn a_frame_that_was_shown_comes_in_for_what_the_newest_does_not_see() {
         let r = v.refresh(ms(2000), near(0.1), PICTURE, &BOUNDS);
         let kept: Vec<u32> = r.kept.iter().map(|f| f.frame.header.frame.0).collect();
         assert_eq!(kept, if keeps { vec![1] } else { vec![] });
+    }
+}
+
+/// What a frame says of itself counts, whatever the server has told of its pages by then.
+#[test]
+fn a_frame_that_a_finer_one_follows_is_not_final_and_one_that_stays_coarse_is_not_exact() {
+    let pages = |num_resident| PageProgress { num_wanted: 9, num_resident, ..PageProgress::default() };
+    for told in [pages(9), pages(5)] {
+        let mut v = viewing();
+        v.refresh(ms(0), at(0.0), PICTURE, &BOUNDS);
+        v.source.talk().pages.handle_message(&ServerMessage::Pages(told));
+        for (fineness, standing) in [
+            (Fineness::Draft, Standing::Refining),
+            (Fineness::Bounded, Standing::Settled),
+            (Fineness::Whole, Standing::Exact),
+        ] {
+            v.source.fineness = fineness;
+            v.source.answer(1, ms(0));
+            let refresh = v.refresh(ms(400), at(0.0), PICTURE, &BOUNDS);
+            assert_eq!(refresh.standing, standing, "{told:?}");
+        }
     }
 }
 

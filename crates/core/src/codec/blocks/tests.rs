@@ -35,6 +35,7 @@ pub(in crate::codec) fn made(
         camera: camera(intrinsics, degrees),
         k: 12,
         mode: Default::default(),
+        fineness: Default::default(),
     };
     generate(scene, header)
 }

@@ -5,12 +5,12 @@ use super::scale::scale;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::codec::HEADER_BYTES;
-use crate::codec::blocks::References;
+use crate::codec::blocks::{self, References};
 use crate::ids::{ChunkIndex, FrameId, LookVersion, PoseId};
 use crate::image_error;
 use crate::kernels::layering::generate;
 use crate::kernels::march::{MarchSettings, Scene};
-use crate::layer::{FrameHeader, Over, Segment, TAU_MAX};
+use crate::layer::{Fineness, FrameHeader, Over, Segment, TAU_MAX};
 use crate::space::Aabb;
 use crate::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use crate::volume::procedural::Builtin;
@@ -50,6 +50,7 @@ fn header(width: u32, height: u32, k: u8) -> FrameHeader {
         camera,
         k,
         mode: Default::default(),
+        fineness: Default::default(),
     }
 }
 
@@ -159,6 +160,22 @@ fn depths_are_kept_and_values_stay_within_the_stated_bounds() {
         changed += usize::from(a != b);
     }
     assert!(changed * 2 > frame.num_segments(), "quantisation that changes nothing bounds nothing");
+}
+
+#[test]
+fn a_frame_says_whether_it_stays_coarse_in_both_codings() {
+    let frame = marched_frame(Builtin::Shells, 48);
+    for fineness in Fineness::ALL {
+        let mut frame = frame.clone();
+        frame.header.fineness = fineness;
+        let found =
+            |chunks: &[Vec<u8>]| peek(&chunks[0]).map(|header| (header.frame.fineness, header.is_exact));
+        let exact: Vec<_> = encode(&frame).unwrap().chunks.into_iter().map(|chunk| chunk.bytes).collect();
+        assert_eq!(found(&exact), Ok((fineness, true)));
+        let (blocks, _) = blocks::encode(&frame, &blocks::Settings::of(60), None).unwrap();
+        let blocks: Vec<_> = blocks.chunks.into_iter().map(|chunk| chunk.bytes).collect();
+        assert_eq!(found(&blocks), Ok((fineness, false)));
+    }
 }
 
 #[test]

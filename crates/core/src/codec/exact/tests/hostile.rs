@@ -43,7 +43,7 @@ fn bad_headers_are_named() {
     for (at, byte, name) in [
         (5, 0, "k"),
         (5, 33, "k"),
-        (6, 9, "coding"),
+        (6, 6, "coding and fineness"),
         (7, 5, "mode"),
         (8, 1, "chunk index"),
         (10, 0, "number of chunks"),
