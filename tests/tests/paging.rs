@@ -4,10 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::HashMap;
-use std::fs;
-use std::io::{Seek, SeekFrom, Write};
 use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -30,11 +27,10 @@ use isinglass_core::volume::{
     VolumeInfo, VoxelKind, Voxels, page_of,
 };
 use isinglass_core::wire::{Choices, Part, ProfileRequest};
-use isinglass_formats::{Dtype, Endian, OpenOptions, RawShape, default_transfer, open_paged};
+use isinglass_formats::default_transfer;
 use isinglass_net::{Client, ClientOptions};
 use isinglass_render::Backend;
 use isinglass_server::{Library, Loaded, Loader, RunningServer, ServeOptions, Survey, Timing, start};
-use tempfile::TempDir;
 use tokio::runtime::Runtime;
 
 const SIDE: u32 = 200;
@@ -418,58 +414,4 @@ fn another_light_reaches_every_page() {
         assert!(difference_from(&before, &shown) > 1, "control: another light is another picture");
     }
     stage.close();
-}
-
-#[test]
-fn shading_that_is_switched_on_reaches_every_page() {
-    let (whole, look) = subject();
-    let [dark, bright] = [false, true].map(|shaded| Look { shaded, ..look.clone() });
-    let mut stage = stage(paged(&whole, |_, _| None, 1 << 30), &dark, None);
-    let shown = stage.rest();
-    assert!(difference(whole.clone(), &dark, &shown) <= 1);
-    stage.viewing.set_look(stage.begun.elapsed(), bright.clone());
-    stage.azimuth = 0.8;
-    let shown = stage.rest();
-    assert_eq!(shown.standing, Standing::Exact);
-    assert!(difference(whole.clone(), &bright, &shown) <= 1, "the light of the look");
-    assert!(difference(whole, &dark, &shown) > 1, "control: without light it is another picture");
-    stage.close();
-}
-
-/// A file that is too large to be indexed when it is opened.
-fn large_file(path: &Path) -> RawShape {
-    let dims = [430, 430, 366];
-    let num_voxels: u64 = dims.iter().map(|&n| u64::from(n)).product();
-    let mut file = fs::File::create(path).unwrap();
-    file.set_len(num_voxels * 4).unwrap();
-    for i in (0..num_voxels).step_by(50_021) {
-        file.seek(SeekFrom::Start(i * 4)).unwrap();
-        file.write_all(&((i % 977) as f32).to_le_bytes()).unwrap();
-    }
-    RawShape { dims, dtype: Dtype::Float, spacing: Vec3::ONE, endian: Endian::Little, offset: 0 }
-}
-
-#[test]
-fn a_session_that_reads_all_of_a_file_leaves_its_index_and_one_with_little_memory_leaves_none() {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("a.raw");
-    let raw = Some(large_file(&path));
-    let [by_session, by_command] = ["session", "command"].map(|name| folder.path().join(name));
-    let opened = |kept: &Path| {
-        let options = OpenOptions { raw, index_folder: Some(kept), ..OpenOptions::default() };
-        open_paged(path.to_str().unwrap(), &options).unwrap()
-    };
-    for (max_bytes, standing) in [(330 << 20, Standing::Settled), (1 << 30, Standing::Exact)] {
-        assert!(!by_session.exists(), "half of the pages make no index");
-        let volume = opened(&by_session).into_volume(max_bytes);
-        let look = Look::new(default_transfer("a.raw", &volume, &Histogram::of(&volume)));
-        let mut stage = stage(volume, &look, None);
-        let shown = stage.rest();
-        stage.close();
-        assert_eq!(shown.standing, standing, "{:?}", shown.progress);
-    }
-    let paged = opened(&by_command);
-    let kept = paged.keep_index(&paged.build_index(None, None).unwrap()).unwrap().unwrap();
-    let same = by_session.join(kept.file_name().unwrap());
-    assert!(fs::read(&same).unwrap() == fs::read(&kept).unwrap(), "to the byte");
 }
