@@ -52,7 +52,7 @@ fn a_session_that_reads_all_of_a_file_leaves_its_index_and_one_with_little_memor
         let view =
             PageView { camera: Camera::new(pose, picture, &bounds), region: scene.region(), rests: true };
         let pages = pager.settled(ViewerId(1), &view, &scene, &|| true);
-        assert_eq!(pages.progress.is_exact(), is_whole, "{:?}", pages.progress);
+        assert_eq!(pages.part.progress.is_exact(), is_whole, "{:?}", pages.part.progress);
     }
     let paged = opened(&by_command);
     let kept = paged.keep_index(&paged.build_index(None, None).unwrap()).unwrap().unwrap();
