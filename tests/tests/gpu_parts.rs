@@ -31,7 +31,7 @@ use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{GHOSTS, Histogram, Lighting, Split, Volume, VoxelKind, Voxels};
 use isinglass_formats::{OpenOptions, default_transfer, open};
 use isinglass_render::{Backend, PartRenderer};
-use isinglass_tests::levels::{other_channel, volume_of};
+use isinglass_tests::levels::{Levels, other_channel, volume_of};
 use isinglass_tests::twins::{Difference, gpu, transfer};
 
 /// A look at a volume.
@@ -188,6 +188,43 @@ fn psnr(a: &Picture, b: &Picture) -> f64 {
     let (a, b) = (a.to_srgb8([0.0; 3]), b.to_srgb8([0.0; 3]));
     let sum: f64 = a.iter().zip(&b).map(|(x, y)| f64::from(x.abs_diff(*y)).powi(2)).sum();
     10.0 * (255.0f64.powi(2) / (sum / a.len() as f64).max(1e-3)).log10()
+}
+
+/// Each process has the finest pages of its own part, and the coarsest level.
+#[test]
+fn parts_that_are_read_by_pages_show_the_picture_of_the_whole() {
+    let whole = volume_of([141, 70, 66], Vec3::splat(0.02), VoxelKind::U8);
+    let levels = Levels::of(&whole, &[[1; 3], [4; 3]]);
+    let split = Split::between_pages(whole.dims(), 2).unwrap();
+    for mode in [Mode::Composite, Mode::Iso, Mode::Mip, Mode::Average] {
+        let look = Look::new(
+            "pages",
+            whole.clone(),
+            MarchSettings { mode, ..MarchSettings::of(true, Lighting::default()) },
+        );
+        let base = look.scene_of(levels.base());
+        let with_pages_of = |owner: usize| {
+            let own = &split.boxes()[owner];
+            base.with_pages(levels.set(|id| id.level == 0 && levels.pyramid.meets(id, own)), None)
+        };
+        let all = base.with_pages(levels.set(|id| id.level == 0), None);
+        let camera = look.camera(0.0, SIZE);
+        let (bounds, truth) = (look.volume.bounds(), render(&all, &camera));
+        let shown = |owners: [usize; 2], marcher: fn(usize) -> Box<dyn PartMarcher>| {
+            let (split, scenes) = (split.clone(), owners.map(with_pages_of).to_vec());
+            let parts = Parts { split, scenes, marchers: (0..2).map(marcher).collect() };
+            let seen = raycast(&parts.frame(FrameHeader::alone(camera, 8)), &bounds, &camera);
+            [off(&seen, &truth), off(&parts.picture(&camera), &truth)]
+        };
+        let found = shown([0, 1], on_processors);
+        assert!(found.iter().all(|off| *off <= 1), "{mode:?}: {found:?}/255");
+        if gpu().is_some() {
+            let found = shown([0, 1], on_gpu);
+            assert!(found.iter().all(|off| *off <= 1), "{mode:?} on GPUs: {found:?}/255");
+        }
+        // The control: each has the pages of the other.
+        assert!(shown([1, 0], on_processors)[1] > 4, "{mode:?}");
+    }
 }
 
 #[test]

@@ -15,7 +15,7 @@ use isinglass_gpu::{Gpu, GpuError, GpuRenderer};
 use crate::{Backend, BackendChoice};
 
 /// Marches the own part of a process where a backend says. A GPU that fails leaves the work to the CPU for good, and so
-/// does one without room for the part.
+/// does one without room for the part. Of a part by pages, the CPU only marches those views whose pages have no room.
 pub struct PartRenderer(RefCell<Device>);
 
 enum Device {
@@ -41,7 +41,7 @@ impl PartRenderer {
         }))
     }
 
-    /// What the GPU makes; `None` if the CPU must do it. Pages are read on the CPU.
+    /// What the GPU makes; `None` if the CPU must do it.
     fn by_gpu<R>(
         &self,
         part: &MarchedPart<'_>,
@@ -49,15 +49,18 @@ impl PartRenderer {
     ) -> Option<R> {
         let mut device = self.0.borrow_mut();
         let Device::Gpu(gpu, renderer) = &mut *device else { return None };
-        if part.scene.pages.is_some() {
-            return None;
+        match renderer_of(gpu, renderer, part.scene).and_then(make) {
+            Ok(made) => Some(made),
+            Err(e @ GpuError::Pages { .. }) => {
+                tracing::debug!("the CPU marches a view of the part of process {}: {e}", part.rank);
+                None
+            }
+            Err(e) => {
+                tracing::error!("the part of process {} is marched on the CPU from now on: {e}", part.rank);
+                *device = Device::Cpu;
+                None
+            }
         }
-        let made = renderer_of(gpu, renderer, part.scene).and_then(make);
-        made.map_err(|e| {
-            tracing::error!("the part of process {} is marched on the CPU from now on: {e}", part.rank);
-            *device = Device::Cpu;
-        })
-        .ok()
     }
 }
 
@@ -67,16 +70,15 @@ fn renderer_of<'a>(
     renderer: &'a mut Option<Box<GpuRenderer>>,
     scene: &Scene,
 ) -> Result<&'a mut GpuRenderer, GpuError> {
-    let renderer = match renderer.take() {
-        Some(mut known) => {
-            if !is_same(known.scene(), scene) {
-                known.set_scene(scene.clone())?;
-            }
-            renderer.insert(known)
-        }
-        None => renderer.insert(Box::new(GpuRenderer::new(gpu, scene.clone())?)),
+    let known = match renderer.take() {
+        Some(known) => known,
+        None => Box::new(GpuRenderer::new(gpu, scene.clone())?),
     };
-    Ok(renderer)
+    let known = renderer.insert(known);
+    if !is_same(known.scene(), scene) {
+        known.set_scene(scene.clone())?;
+    }
+    Ok(known)
 }
 
 /// Whether two scenes are one. After a scene is built, only what all processes find out together changes in it.
@@ -85,8 +87,14 @@ fn is_same(a: &Scene, b: &Scene) -> bool {
         (Some(a), Some(b)) => Arc::ptr_eq(a, b),
         (a, b) => a.is_none() && b.is_none(),
     };
+    let are_same_pages = match (&a.pages, &b.pages) {
+        (Some(a), Some(b)) => {
+            Arc::ptr_eq(&a.set, &b.set) && a.looks.iter().zip(&b.looks).all(|(a, b)| Arc::ptr_eq(a, b))
+        }
+        (a, b) => a.is_none() && b.is_none(),
+    };
     let is_built_once = Arc::ptr_eq(&a.transfer, &b.transfer) && Arc::ptr_eq(&a.volume, &b.volume);
-    is_built_once && is_lit_alike && a.has_lesser_bodies == b.has_lesser_bodies
+    is_built_once && is_lit_alike && are_same_pages && a.has_lesser_bodies == b.has_lesser_bodies
 }
 
 impl PartMarcher for PartRenderer {
