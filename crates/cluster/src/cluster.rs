@@ -15,14 +15,14 @@ use isinglass_core::picture::Picture;
 use isinglass_core::volume::{Split, VoxelBox};
 
 use crate::exchange::{ClusterError, Exchange};
-use crate::pages::PageReader;
+use crate::pages::PartReader;
 
 /// The processes that hold the parts of a volume, as one of them sees it.
 pub struct Cluster<'a> {
     exchange: &'a dyn Exchange,
     split: Split,
     /// Reads the pages of the own part, if the volume is read by pages.
-    pub(crate) reader: Option<&'a dyn PageReader>,
+    pub(crate) reader: Option<&'a dyn PartReader>,
     marcher: Box<dyn PartMarcher + 'a>,
 }
 
@@ -63,7 +63,7 @@ impl<'a> Cluster<'a> {
 
     /// The same for a volume that is read by pages.
     #[must_use]
-    pub fn reading(self, reader: Option<&'a dyn PageReader>) -> Self {
+    pub fn reading(self, reader: Option<&'a dyn PartReader>) -> Self {
         Self { reader, ..self }
     }
 

@@ -63,7 +63,7 @@ impl CodeJob {
 
 impl Cluster<'_> {
     /// Codes a frame of which this process has some rows, together with the others. A frame in blocks is a reference
-    /// in all of them, so all get its bytes; those of an exact one are in process 0 only.
+    /// in all of them, so all get its bytes. Those of an exact one are in process 0 only.
     ///
     /// # Errors
     /// If the processes cannot talk, or one sends something else than expected. All of them fail alike to code a frame.

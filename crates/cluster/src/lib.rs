@@ -2,8 +2,8 @@
 //!
 //! A process holds the voxels of its own box and a few around it. What must be the same everywhere is found together:
 //! the range of values, the histogram, and on which side of surfaces bodies lie. Kernels that know no network do the
-//! rest ([`isinglass_core::kernels::layering::parts`]). A volume that no memory holds is read by pages ([`PageReader`]). An [`Exchange`] carries their words: MPI, or channels between
-//! threads.
+//! rest ([`isinglass_core::kernels::layering::parts`]). A volume that no memory holds is read by pages
+//! ([`PartReader`]). An [`Exchange`] carries their words: MPI, or channels between threads.
 
 mod asides;
 mod cluster;
@@ -23,7 +23,7 @@ pub use cluster::{Cluster, Report};
 pub use exchange::{ClusterError, Exchange, ExchangeError, agree, are_alike, same_everywhere};
 pub use in_process::InProcess;
 pub use orders::{OrderQueue, Orders, orders};
-pub use pages::PageReader;
+pub use pages::PartReader;
 pub use whole::{FinestNumbers, in_whole};
 
 /// Joins the processes that `mpirun` started.

@@ -15,13 +15,13 @@ use isinglass_core::kernels::march::Scene;
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
-use isinglass_core::volume::{Detail, Volume};
+use isinglass_core::volume::{Detail, PartProgress, Volume};
 
 use crate::asides::{Aside, FrameOfAll, Numbers, Shelf};
 use crate::cluster::{Cluster, OwnRows};
 use crate::exchange::ClusterError;
 use crate::jobs::{Job, JobCamera, JobView, SceneOrder};
-use crate::pages::{PageReader, PagesOrder};
+use crate::pages::{PagesOrder, PartReader};
 
 /// Orders frames, pictures and slices. Clones order from the same processes, which end with the last of them.
 #[derive(Clone)]
@@ -96,27 +96,37 @@ struct Waiting {
     queue: Receiver<Order>,
     asides: VecDeque<Aside>,
     others: VecDeque<Order>,
+    /// Whether the last order that was taken is done beside frames.
+    had_aside: bool,
 }
 
 impl Waiting {
     fn new(OrderQueue(queue): OrderQueue) -> Self {
-        Self { queue, asides: VecDeque::new(), others: VecDeque::new() }
+        Self { queue, asides: VecDeque::new(), others: VecDeque::new(), had_aside: false }
     }
 
-    /// The next one that is done beside frames, if any waits.
-    fn next_aside(&mut self) -> Option<Aside> {
+    /// Those that are done beside frames and wait now.
+    fn take_asides(&mut self) -> VecDeque<Aside> {
+        self.drain();
+        std::mem::take(&mut self.asides)
+    }
+
+    fn drain(&mut self) {
         while let Ok(order) = self.queue.try_recv() {
             self.put(order);
         }
-        self.asides.pop_front()
     }
 
-    /// The next order, with those beside frames first, if it comes within a time.
+    /// The next order if it comes within a time. Those beside frames take turns with the others.
     fn next(&mut self, patience: Option<Duration>) -> Result<Order, RecvTimeoutError> {
         loop {
-            if let Some(aside) = self.next_aside() {
+            self.drain();
+            let is_turn = !self.had_aside || self.others.is_empty();
+            if let Some(aside) = is_turn.then(|| self.asides.pop_front()).flatten() {
+                self.had_aside = true;
                 return Ok(Order::Aside(aside));
             }
+            self.had_aside = false;
             if let Some(order) = self.others.pop_front() {
                 return Ok(order);
             }
@@ -157,6 +167,8 @@ struct KeptScene {
     look: Look,
     detail: Detail,
     scene: Scene,
+    /// How far its pages are.
+    part: PartProgress,
     shown: u64,
 }
 
@@ -186,13 +198,14 @@ impl KeptScenes {
         self.scenes.iter().enumerate().max_by_key(|(_, kept)| kept.shown).map(|(place, _)| place)
     }
 
-    /// The ordered scene. A new one is made from the last one that was shown, and is ready then.
+    /// The ordered scene, and how far its pages are. A new one is made from the last one that was shown, and is ready
+    /// then.
     fn take(
         &mut self,
         cluster: &Cluster<'_>,
         order: SceneOrder,
         origin: Origin<'_>,
-    ) -> Result<&Scene, ClusterError> {
+    ) -> Result<(&Scene, PartProgress), ClusterError> {
         self.num_shown += 1;
         if let Some((look, is_draft)) = order.new {
             let detail = if is_draft { Detail::Draft } else { Detail::Final };
@@ -202,7 +215,7 @@ impl KeptScenes {
                 Origin::Base(base) => last.unwrap_or(base).under(&look, detail, None),
             };
             let scene = cluster.ready(scene)?;
-            let kept = KeptScene { look, detail, scene, shown: 0 };
+            let kept = KeptScene { look, detail, scene, part: PartProgress::default(), shown: 0 };
             match self.scenes.get_mut(order.place) {
                 Some(place) => *place = kept,
                 None => self.scenes.push(kept),
@@ -219,9 +232,11 @@ impl KeptScenes {
         match origin {
             _ if cluster.reader.is_none() => {}
             Origin::Ordered(scene) => kept.scene = *scene,
-            Origin::Base(_) => kept.scene = cluster.by_own_pages(&kept.scene, order.pages.as_ref()),
+            Origin::Base(_) => {
+                (kept.scene, kept.part) = cluster.by_own_pages(&kept.scene, order.pages.as_ref());
+            }
         }
-        Ok(&kept.scene)
+        Ok((&kept.scene, kept.part))
     }
 }
 
@@ -241,16 +256,20 @@ impl Cluster<'_> {
             shelf: Shelf::default(),
         };
         isinglass_core::codec::prepare();
-        // Whether pages of others are still to come.
-        let mut is_loading = false;
+        // Whether pages of others are still to come, and whom they are read for.
+        let (mut is_loading, mut known) = (false, Vec::new());
         loop {
-            let order = match desk.waiting.next(is_loading.then_some(ASK_AGAIN)) {
+            let patience = self.reader.map(|_| if is_loading { ASK_AGAIN } else { LOOK_ROUND });
+            let order = match desk.waiting.next(patience) {
                 Ok(order) => order,
                 Err(RecvTimeoutError::Disconnected) => break,
                 Err(RecvTimeoutError::Timeout) => {
-                    let viewers = self.reader.map(PageReader::viewers).unwrap_or_default();
-                    self.tell(&Job::Progress { viewers: viewers.clone() }, false)?;
-                    is_loading = self.tell_progress(&viewers)?;
+                    let viewers = self.reader.map(PartReader::viewers).unwrap_or_default();
+                    if is_loading || viewers != known {
+                        self.tell(&Job::Progress { viewers: viewers.clone() }, false)?;
+                        is_loading = self.tell_progress(&viewers)?;
+                        known = viewers;
+                    }
                     continue;
                 }
             };
@@ -270,7 +289,7 @@ impl Cluster<'_> {
                     let order = desk.kept.order(&scene, self.pages_order(&scene));
                     let of = (order.clone(), JobView::from(&view), rows.clone());
                     self.tell(&Job::Rows { scene: of.0, view: of.1, rows: of.2 }, false)?;
-                    let scene = desk.kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
+                    let (scene, _) = desk.kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
                     let _ = reply.send(self.picture(scene, &view, rows)?);
                 }
                 Order::Aside(aside) => {
@@ -301,10 +320,10 @@ impl Cluster<'_> {
         let threshold = budget.threshold(&header, scene.volume.bounds().radius());
         let (camera, k, number) = (JobCamera::from(&header.camera), header.k, numbers.next());
         self.tell(&Job::Frame { scene: order.clone(), camera, k, threshold, number }, false)?;
-        let scene = kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
-        self.tell_progress(viewer.as_slice())?;
+        let (scene, own) = kept.take(self, order, Origin::Ordered(Box::new(scene)))?;
+        self.tell_parts(viewer.map(|key| (key, own)).as_slice(), true)?;
         let mut goes_on = || {
-            while let Some(aside) = waiting.next_aside() {
+            for aside in waiting.take_asides() {
                 self.order_aside(aside, volume, (numbers, shelf), true)?;
             }
             let goes_on = wanted();
@@ -332,8 +351,8 @@ impl Cluster<'_> {
             match self.told(false)? {
                 Job::Frame { scene, camera, k, threshold, number } => {
                     let viewer = scene.pages.as_ref().map(PagesOrder::key);
-                    let scene = kept.take(self, scene, Origin::Base(base))?;
-                    self.tell_progress(viewer.as_slice())?;
+                    let (scene, own) = kept.take(self, scene, Origin::Base(base))?;
+                    self.tell_parts(viewer.map(|key| (key, own)).as_slice(), true)?;
                     let header = FrameHeader::alone(camera.camera(), k);
                     let mut goes_on = || self.goes_on(volume, &mut shelf);
                     if let (Some(rows), _) = self.rows_while(scene, header, threshold, &mut goes_on)? {
@@ -341,7 +360,7 @@ impl Cluster<'_> {
                     }
                 }
                 Job::Rows { scene, view, rows } => {
-                    let scene = kept.take(self, scene, Origin::Base(base))?;
+                    let (scene, _) = kept.take(self, scene, Origin::Base(base))?;
                     self.picture(scene, &view.view(), rows)?;
                 }
                 Job::Progress { viewers } => {
@@ -359,7 +378,9 @@ impl Cluster<'_> {
 const MOST_SCENES: usize = 3;
 /// Whether a frame is still wanted is looked at so often.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
-/// Process 0 asks so often how far the pages of others are, while any are to come.
+/// Process 0 asks so often how far the pages of others are, while any are to come and nothing is ordered.
 const ASK_AGAIN: Duration = Duration::from_millis(100);
+/// It looks so often whether viewers have left.
+const LOOK_ROUND: Duration = Duration::from_secs(1);
 /// Most orders that wait; who orders more waits too.
 const MOST_WAITING: usize = 16;

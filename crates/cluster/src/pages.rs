@@ -11,11 +11,11 @@ use crate::exchange::ClusterError;
 use crate::jobs::JobCamera;
 
 /// Reads the pages of the own part, and knows how far they are.
-pub trait PageReader: Send + Sync {
-    /// The pages for a viewer's next frame of a scene. What is missing is read from now on.
-    fn pages(&self, key: PlanKey, view: &PageView, scene: &Scene) -> Arc<PageSet>;
+pub trait PartReader: Send + Sync {
+    /// The pages for a viewer's next frame of a scene, and how far they are. What is missing is read from now on.
+    fn pages(&self, key: PlanKey, view: &PageView, scene: &Scene) -> (Arc<PageSet>, PartProgress);
 
-    /// How far the own pages for a viewer are.
+    /// How far the own pages for a viewer are now.
     fn progress(&self, key: PlanKey) -> PartProgress;
 
     /// Whom pages are read for.
@@ -24,8 +24,8 @@ pub trait PageReader: Send + Sync {
     /// All viewers but these have left.
     fn keep(&self, viewers: &[PlanKey]);
 
-    /// The pages of all other processes for a viewer are so far.
-    fn note_others(&self, key: PlanKey, others: PartProgress);
+    /// The pages of all other processes for a viewer are so far, in a frame that is made or by now.
+    fn note_others(&self, key: PlanKey, others: PartProgress, in_frame: bool);
 }
 
 /// The pages that a scene is shown by.
@@ -49,34 +49,48 @@ impl Cluster<'_> {
     pub(crate) fn pages_order(&self, scene: &Scene) -> Option<PagesOrder> {
         let (key, view) = scene.pages.as_ref()?.set.seen_by()?;
         let PageView { camera, rests, .. } = view;
-        let viewers = self.reader.map(PageReader::viewers).unwrap_or_default();
+        let viewers = self.reader.map(PartReader::viewers).unwrap_or_default();
         Some(PagesOrder { key: *key, camera: camera.into(), rests: *rests, viewers })
     }
 
-    /// A scene by the pages of the own part that are there, or without any.
-    pub(crate) fn by_own_pages(&self, scene: &Scene, order: Option<&PagesOrder>) -> Scene {
-        let (Some(order), Some(reader)) = (order, self.reader) else { return scene.without_pages() };
+    /// A scene by the pages of the own part that are there, or without any, and how far those are.
+    pub(crate) fn by_own_pages(&self, scene: &Scene, order: Option<&PagesOrder>) -> (Scene, PartProgress) {
+        let (Some(order), Some(reader)) = (order, self.reader) else {
+            return (scene.without_pages(), PartProgress::default());
+        };
         reader.keep(&order.viewers);
         let view = PageView { camera: order.camera.camera(), region: scene.region(), rests: order.rests };
-        let set = reader.pages(order.key, &view, scene);
-        match &scene.pages {
+        let (set, part) = reader.pages(order.key, &view, scene);
+        let scene = match &scene.pages {
             Some(shown) if Arc::ptr_eq(&shown.set, &set) => scene.clone(),
             _ => scene.with_pages(set, None),
-        }
+        };
+        (scene, part)
     }
 
-    /// Process 0 hears how far the pages of all others are, for some viewers. Whether any are still to come.
+    /// Process 0 hears how far the pages of all others are by now. Whether any are still to come.
     pub(crate) fn tell_progress(&self, viewers: &[PlanKey]) -> Result<bool, ClusterError> {
         let Some(reader) = self.reader else { return Ok(false) };
-        let own = viewers.iter().map(|key| reader.progress(*key));
-        let own: Vec<u32> = own.flat_map(words_of).collect();
+        reader.keep(viewers);
+        let parts: Vec<_> = viewers.iter().map(|key| (*key, reader.progress(*key))).collect();
+        self.tell_parts(&parts, false)
+    }
+
+    /// The same for some viewers, in a frame that is made or by now. Everybody gives its own parts.
+    pub(crate) fn tell_parts(
+        &self,
+        parts: &[(PlanKey, PartProgress)],
+        in_frame: bool,
+    ) -> Result<bool, ClusterError> {
+        let Some(reader) = self.reader else { return Ok(false) };
+        let own: Vec<u32> = parts.iter().flat_map(|(_, part)| words_of(*part)).collect();
         let Some(all) = self.exchange().gather(own)? else { return Ok(false) };
         let mut is_loading = false;
-        for (place, key) in viewers.iter().enumerate() {
+        for (place, (key, _)) in parts.iter().enumerate() {
             let parts = all.iter().skip(1).map(|words| part_of(words, place));
             let others = parts.fold(PartProgress::default(), PartProgress::and);
             is_loading |= others.progress.is_loading();
-            reader.note_others(*key, others);
+            reader.note_others(*key, others, in_frame);
         }
         Ok(is_loading)
     }

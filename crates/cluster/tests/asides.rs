@@ -1,5 +1,5 @@
-//! Threads that hold the parts of a volume code a frame as one that has all of it does, and cut slices and find values as
-//! one does, also while they make a frame.
+//! Threads that hold the parts of a volume code a frame as one that has all of it does. They cut slices and find values
+//! as one does, also while they make a frame.
 
 #![expect(clippy::unwrap_used, reason = "what a test cannot do without")]
 

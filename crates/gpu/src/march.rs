@@ -120,7 +120,7 @@ impl GpuRenderer {
         })
     }
 
-    /// Gathers along rays of a view, for [`isinglass_core::kernels::layering::parts`]. The scene has no pages.
+    /// Gathers along rays of a view, for [`isinglass_core::kernels::layering::parts`].
     ///
     /// # Errors
     /// If the device fails, or the view is none.

@@ -4,13 +4,14 @@
 //! all, and process 0 prints it in one line.
 
 use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_cluster::{
-    Cluster, ClusterError, Exchange, FinestNumbers, FrameOfAll, Orders, PageReader, Report, agree, are_alike,
+    Cluster, ClusterError, Exchange, FinestNumbers, FrameOfAll, Orders, PartReader, Report, agree, are_alike,
     in_whole, orders, same_everywhere,
 };
 use isinglass_core::camera::Camera;
@@ -19,7 +20,7 @@ use isinglass_core::codec::blocks::Reference;
 use isinglass_core::codec::{CodecError, Coding, EncodedFrame, MAX_CHUNKS};
 use isinglass_core::kernels::lens::{View, mean_picture};
 use isinglass_core::kernels::march::Scene;
-use isinglass_core::layer::{FrameHeader, LayeredFrame};
+use isinglass_core::layer::{Fineness, FrameHeader, LayeredFrame};
 use isinglass_core::look::Look;
 use isinglass_core::picture::Picture;
 use isinglass_core::session::admission::ViewerId;
@@ -32,7 +33,7 @@ use isinglass_formats::{
     outline, scene_of,
 };
 use isinglass_render::{Backend, FrameElsewhere, PartRenderer, Renderer, RowsElsewhere, Workers};
-use isinglass_server::Pager;
+use isinglass_server::{FramePages, Pager};
 use serde_json::{Value, json};
 
 use crate::args::{BackendArgs, ListArgs, LookArgs, VolumeArgs};
@@ -143,7 +144,7 @@ impl Together {
         let split = split.ok_or_else(|| anyhow!("the volume has no parts"))?;
         let pager = agree(&*self.exchange, Pager::of(scene.whole()).map_err(|e| e.to_string()))?;
         let reader = pager.clone().map(OwnPages);
-        let reader = reader.as_ref().map(|reader| reader as &dyn PageReader);
+        let reader = reader.as_ref().map(|reader| reader as &dyn PartReader);
         let cluster = self.cluster(split, backend)?.reading(reader);
         let devices = self.devices(&cluster)?;
         if !self.is_root() {
@@ -160,8 +161,11 @@ impl Together {
                 let _end = EndOnDrop(orders);
                 serve(volume, look, Backend::Workers(Arc::new(workers)), pager)
             });
-            if let Err(lost) = cluster.work_on(queue, &own) {
-                self.give_up(&lost);
+            // The scope would wait for a server that can show nothing any more.
+            match catch_unwind(AssertUnwindSafe(|| cluster.work_on(queue, &own))) {
+                Ok(Ok(())) => {}
+                Ok(Err(lost)) => self.give_up(&lost),
+                Err(_) => self.exchange.abort(),
             }
             serving.join().unwrap_or_else(|_| Err(anyhow!("the server has failed")))
         })
@@ -174,8 +178,8 @@ impl Together {
         let result = |result: Result<_>| agree(exchange, result.map_err(|e| in_one_line(&e)));
         let reading = volume.part.reading();
         let options = OpenOptions { max_bytes: memory.bytes(), by_pages: true, ..volume.options(&reading) };
-        // All processes together have room for the whole.
-        let max_bytes = options.max_bytes.saturating_mul(size as u64);
+        // All processes together have room for the whole. Their machines may have different memories.
+        let max_bytes = exchange.sum(&[options.max_bytes]).map_err(ClusterError::from)?[0];
         let source = result(volume.source().map(str::to_owned))?;
         let before = outline(&source, &OpenOptions { max_bytes, ..options }).map_err(|e| e.to_string());
         let before = agree(exchange, before)?;
@@ -289,9 +293,10 @@ impl Together {
 /// The pages of the own part.
 struct OwnPages(Pager);
 
-impl PageReader for OwnPages {
-    fn pages(&self, key: PlanKey, view: &PageView, scene: &Scene) -> Arc<PageSet> {
-        self.0.pages(ViewerId(key), view, scene).set
+impl PartReader for OwnPages {
+    fn pages(&self, key: PlanKey, view: &PageView, scene: &Scene) -> (Arc<PageSet>, PartProgress) {
+        let FramePages { set, part, .. } = self.0.pages(ViewerId(key), view, scene);
+        (set, part)
     }
 
     fn progress(&self, key: PlanKey) -> PartProgress {
@@ -306,8 +311,8 @@ impl PageReader for OwnPages {
         self.0.forget_others(viewers);
     }
 
-    fn note_others(&self, key: PlanKey, others: PartProgress) {
-        self.0.note_others(key, others);
+    fn note_others(&self, key: PlanKey, others: PartProgress, in_frame: bool) {
+        self.0.note_others(key, others, in_frame);
     }
 }
 
@@ -477,13 +482,13 @@ impl<'a> Drawer<'a> {
         Ok(Self::Alone(Box::new(backend.renderer(scene)?), backend, pages))
     }
 
-    /// Reads what a camera sees of a volume that is read by pages.
-    pub(crate) fn show(&mut self, camera: &Camera) -> Result<()> {
+    /// Reads what a camera sees of a volume that is read by pages. Returns how fine that is.
+    pub(crate) fn show(&mut self, camera: &Camera) -> Result<Fineness> {
         match self {
             Self::Alone(renderer, _, pages) => pages.show(renderer, camera),
             Self::Together(together, part) => {
                 let own = part.pages.settled(&part.scene.without_pages(), camera);
-                let Some(own) = own else { return Ok(()) };
+                let Some(own) = own else { return Ok(Fineness::Whole) };
                 part.scene = part.scene.with_pages(own.set, None);
                 let progress = part.cluster.progress_of_all(own.part)?;
                 check(&progress, together.is_root())

@@ -4,6 +4,7 @@ use anyhow::{Result, bail};
 use isinglass_bench::progress::note;
 use isinglass_core::camera::Camera;
 use isinglass_core::kernels::march::Scene;
+use isinglass_core::layer::Fineness;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::{PageProgress, PageView};
 use isinglass_gpu::GpuError;
@@ -26,9 +27,11 @@ impl Pages {
     }
 
     /// Shows a camera the finest pages that fit into memory. A note says what is not of the finest level.
-    pub(crate) fn show(&self, renderer: &mut Renderer, camera: &Camera) -> Result<()> {
+    pub(crate) fn show(&self, renderer: &mut Renderer, camera: &Camera) -> Result<Fineness> {
         let scene = renderer.scene().without_pages();
-        let (Some(pager), Some(mut pages)) = (&self.0, self.settled(&scene, camera)) else { return Ok(()) };
+        let (Some(pager), Some(mut pages)) = (&self.0, self.settled(&scene, camera)) else {
+            return Ok(Fineness::Whole);
+        };
         let mut shown = renderer.set_scene(scene.with_pages(pages.set.clone(), None));
         while let Err(GpuError::Pages { most }) = shown
             && pager.limit(most)
@@ -41,8 +44,8 @@ impl Pages {
     }
 }
 
-/// Checks that there is something to see. A note says what is not of the finest level.
-pub(crate) fn check(progress: &PageProgress, says_notes: bool) -> Result<()> {
+/// Checks that there is something to see, and returns how fine it is. A note says what is not of the finest level.
+pub(crate) fn check(progress: &PageProgress, says_notes: bool) -> Result<Fineness> {
     if progress.num_wanted > 0 && progress.num_resident == 0 {
         bail!("none of the {} parts that the view needs can be read", progress.num_wanted);
     }
@@ -53,5 +56,5 @@ pub(crate) fn check(progress: &PageProgress, says_notes: bool) -> Result<()> {
     if progress.num_damaged > 0 && says_notes {
         note(&format!("note: {} parts of the file cannot be read", progress.num_damaged));
     }
-    Ok(())
+    Ok(if progress.is_exact() { Fineness::Whole } else { Fineness::Bounded })
 }

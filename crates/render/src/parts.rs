@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 use isinglass_core::kernels::layering::parts::{
     AskedFrame, Gathered, OnProcessors, PartMarcher, pieces_by, seen_by, steps_by,
@@ -10,6 +10,7 @@ use isinglass_core::kernels::layering::parts::{
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::march::Scene;
 use isinglass_core::kernels::part_rays::{MarchedPart, PartRay, RayItems};
+use isinglass_core::volume::PageSet;
 use isinglass_gpu::{Gpu, GpuError, GpuRenderer};
 
 use crate::{Backend, BackendChoice};
@@ -20,8 +21,8 @@ pub struct PartRenderer(RefCell<Device>);
 
 enum Device {
     Cpu,
-    /// The renderer is made for the first scene.
-    Gpu(Gpu, Option<Box<GpuRenderer>>),
+    /// The renderer is made for the first scene. Also the pages that had no room.
+    Gpu(Gpu, Option<Box<GpuRenderer>>, Weak<PageSet>),
 }
 
 impl PartRenderer {
@@ -36,7 +37,7 @@ impl PartRenderer {
     /// On a GPU, or for all other backends on the CPU.
     pub fn on(backend: &Backend) -> Self {
         Self(RefCell::new(match backend {
-            Backend::Gpu(gpu) => Device::Gpu(gpu.clone(), None),
+            Backend::Gpu(gpu) => Device::Gpu(gpu.clone(), None, Weak::new()),
             Backend::Cpu | Backend::Rule(_) | Backend::Workers(_) => Device::Cpu,
         }))
     }
@@ -48,11 +49,16 @@ impl PartRenderer {
         make: impl FnOnce(&mut GpuRenderer) -> Result<R, GpuError>,
     ) -> Option<R> {
         let mut device = self.0.borrow_mut();
-        let Device::Gpu(gpu, renderer) = &mut *device else { return None };
+        let Device::Gpu(gpu, renderer, too_many) = &mut *device else { return None };
+        let pages = part.scene.pages.as_ref().map(|pages| &pages.set);
+        if pages.is_some_and(|set| std::ptr::eq(too_many.as_ptr(), Arc::as_ptr(set))) {
+            return None;
+        }
         match renderer_of(gpu, renderer, part.scene).and_then(make) {
             Ok(made) => Some(made),
             Err(e @ GpuError::Pages { .. }) => {
                 tracing::debug!("the CPU marches a view of the part of process {}: {e}", part.rank);
+                *too_many = pages.map_or_else(Weak::new, Arc::downgrade);
                 None
             }
             Err(e) => {
@@ -72,7 +78,8 @@ fn renderer_of<'a>(
 ) -> Result<&'a mut GpuRenderer, GpuError> {
     let known = match renderer.take() {
         Some(known) => known,
-        None => Box::new(GpuRenderer::new(gpu, scene.clone())?),
+        // So it is there even if the pages have no room.
+        None => Box::new(GpuRenderer::new(gpu, scene.without_pages())?),
     };
     let known = renderer.insert(known);
     if !is_same(known.scene(), scene) {
@@ -115,7 +122,7 @@ impl PartMarcher for PartRenderer {
 
     fn description(&self) -> String {
         match &*self.0.borrow() {
-            Device::Gpu(gpu, _) => format!("gpu: {}", gpu.info()),
+            Device::Gpu(gpu, ..) => format!("gpu: {}", gpu.info()),
             Device::Cpu => OnProcessors.description(),
         }
     }

@@ -281,8 +281,8 @@ impl Dispatch {
         *self.0.state().present.entry(viewer).or_default() += 1;
     }
 
-    /// A viewer has left. Another session of it may be there.
-    pub(crate) fn forget(&self, viewer: ViewerId) {
+    /// A session of a viewer has ended. Whether it was the last one.
+    pub(crate) fn forget(&self, viewer: ViewerId) -> bool {
         let mut state = self.0.state();
         let others = state.present.get(&viewer).map_or(0, |sessions| sessions.saturating_sub(1));
         if others > 0 {
@@ -291,6 +291,7 @@ impl Dispatch {
             state.present.remove(&viewer);
             state.placement.forget(viewer);
         }
+        others == 0
     }
 
     /// Shows another scene. Devices that are in use get it before this returns, the others when somebody needs them.

@@ -66,8 +66,8 @@ struct State {
     /// What the newest looks leave visible, by known values.
     seen: Vec<(Scene, Arc<SeenPages>)>,
     sets: HashMap<PlanKey, (u64, Arc<PageSet>)>,
-    /// How far the parts of other processes are.
-    others: HashMap<PlanKey, PartProgress>,
+    /// How far the parts of other processes are by now, and in the newest frame.
+    others: HashMap<PlanKey, [PartProgress; 2]>,
     /// Changes with the pages of other processes.
     version_of_others: u64,
     is_paused: bool,
@@ -83,7 +83,7 @@ impl State {
     /// How far a viewer's pages are, those of other processes included.
     fn part(&self, key: PlanKey) -> PartProgress {
         let own = self.residency.progress(key);
-        self.others.get(&key).map_or(own, |others| own.and(*others))
+        self.others.get(&key).map_or(own, |[others, _]| own.and(*others))
     }
 }
 
@@ -201,14 +201,18 @@ impl Pager {
     /// The pages of a frame that several processes have made, with those of the others.
     pub(crate) fn with_others(&self, viewer: ViewerId, pages: FramePages) -> FramePages {
         let others = self.shared.state().others.get(&viewer.0).copied();
-        FramePages { part: others.map_or(pages.part, |others| pages.part.and(others)), ..pages }
+        FramePages { part: others.map_or(pages.part, |[_, others]| pages.part.and(others)), ..pages }
     }
 
-    /// The parts of other processes have come so far, for a viewer's newest frame.
-    pub fn note_others(&self, key: PlanKey, others: PartProgress) {
+    /// The parts of other processes have come so far, in a viewer's frame that is made or by now.
+    pub fn note_others(&self, key: PlanKey, others: PartProgress, in_frame: bool) {
         let version = {
             let mut state = self.shared.state();
-            state.others.insert(key, others);
+            let known = state.others.entry(key).or_default();
+            known[0] = others;
+            if in_frame {
+                known[1] = others;
+            }
             state.version_of_others = others.version;
             state.version()
         };

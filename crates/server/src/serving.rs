@@ -144,8 +144,8 @@ impl Drop for Viewer {
             refining.abort();
         }
         // From now on, its last orders leave nothing behind.
-        self.common.generator.dispatch.forget(self.session.viewer);
-        if let Some(pager) = &self.present.pager {
+        let has_left = self.common.generator.dispatch.forget(self.session.viewer);
+        if let Some(pager) = self.present.pager.as_ref().filter(|_| has_left) {
             pager.forget(self.session.viewer.0);
         }
     }

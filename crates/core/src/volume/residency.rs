@@ -476,7 +476,9 @@ impl Residency {
                     !plan.rests || plan.leaves.contains(&id) || plan.parts.contains_key(&id)
                 })
         };
-        let pages = self.base.iter().chain(self.resident.values()).cloned().collect();
+        // A set keeps its pages in memory.
+        let resident = self.resident.values().filter(|page| is_shown(page.id));
+        let pages = self.base.iter().chain(resident).cloned().collect();
         let set = PageSet::new(self.pyramid.clone(), pages, is_shown);
         let Some(plan) = plan else { return set };
         let is_rough = |id: &&PageId| id.level > 0 || !self.resident.contains_key(id);

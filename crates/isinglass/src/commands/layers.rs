@@ -87,9 +87,10 @@ fn make(args: &LayersArgs, given: Given, together: Option<&Together>) -> Result<
     let left = (!is_askew).then(|| opened.scene.region().bounds);
     let transfer = opened.transfer.clone();
     let mut drawer = Drawer::new(opened, together, &args.backend)?;
-    drawer.show(&camera)?;
+    let fineness = drawer.show(&camera)?;
     let start = Instant::now();
-    let Some((frame, ranks)) = drawer.generate(FrameHeader::alone(camera, look.k))? else { return Ok(()) };
+    let header = FrameHeader { fineness, ..FrameHeader::alone(camera, look.k) };
+    let Some((frame, ranks)) = drawer.generate(header)? else { return Ok(()) };
     let generate_ms = start.elapsed().as_secs_f64() * 1e3;
     let start = Instant::now();
     let (encoded, coding) = encode(&args.codec, &frame)?;

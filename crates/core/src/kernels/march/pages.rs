@@ -254,9 +254,8 @@ impl SeenPages {
 /// matter it does, as that would end at a face.
 fn table_of(set: &PageSet, seen: Option<&SeenPages>) -> Arc<[u32]> {
     let Some(seen) = seen else { return set.table().into() };
-    let cells: Vec<PageId> = places(set.grid()).map(|at| PageId { level: 0, at }).collect();
-    let mut near: Vec<bool> =
-        cells.iter().zip(set.rough()).map(|(id, rough)| *rough && seen.sees(*id)).collect();
+    let cells = || places(set.grid()).map(|at| PageId { level: 0, at });
+    let mut near: Vec<bool> = cells().zip(set.rough()).map(|(id, rough)| *rough && seen.sees(id)).collect();
     for axis in 0..3 {
         let is_rough = |at: &[u32; 3], step: i64| {
             let mut beside = *at;
@@ -264,10 +263,10 @@ fn table_of(set: &PageSet, seen: Option<&SeenPages>) -> Arc<[u32]> {
             beside[axis] = u32::try_from(moved).ok().filter(|n| *n < set.grid()[axis])?;
             Some(near[set.cell(beside)])
         };
-        near = cells.iter().map(|id| (-1..=1).any(|step| is_rough(&id.at, step) == Some(true))).collect();
+        near = cells().map(|id| (-1..=1).any(|step| is_rough(&id.at, step) == Some(true))).collect();
     }
-    let stands = cells.iter().zip(&near).zip(set.table());
-    stands.map(|((id, near), slot)| if *near || seen.sees(*id) { *slot } else { NOTHING }).collect()
+    let stands = cells().zip(&near).zip(set.table());
+    stands.map(|((id, near), slot)| if *near || seen.sees(id) { *slot } else { NOTHING }).collect()
 }
 
 fn places([nx, ny, nz]: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
