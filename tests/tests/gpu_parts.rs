@@ -6,7 +6,6 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
 
 use glam::Vec3;
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
@@ -364,38 +363,5 @@ fn a_scan_on_gpus_is_the_scan() {
         let [found, of_single] = [&frame, &single].map(|frame| psnr(&seen(frame, 1), &truth[1]));
         println!("{mode:?}: {found:.2} dB at 10 degrees, one process {of_single:.2}");
         assert!(found > of_single - 0.1, "{mode:?}: {found} dB, one process {of_single}");
-    }
-}
-
-#[test]
-#[ignore = "prints a table"]
-fn times_of_parts() {
-    let Some(gpu) = gpu() else { return };
-    let (side, (width, height)) = if gpu.info().is_software { (160, (320, 180)) } else { (512, (1280, 720)) };
-    println!("{}; {width}×{height} of four parts of {side}³, in milliseconds", gpu.info());
-    for mode in [Mode::Composite, Mode::Iso, Mode::Mip] {
-        let isos = Isos::new(&[Iso { value: 90.0, opacity: 1.0 }]).unwrap();
-        let settings = MarchSettings { mode, isos, ..MarchSettings::of(true, Lighting::default()) };
-        let look = Look { distance: 1.6, ..Look::new("cloud", Builtin::Cloud.volume(side), settings) };
-        let header = FrameHeader::alone(look.camera(0.0, (width, height)), 8);
-        for (device, by) in [("cpu", on_processors as fn(usize) -> _), ("gpu", on_gpu)] {
-            let parts = Parts::of(&look, Split::evenly([side; 3], 4).unwrap(), by);
-            let asked = parts.asked(header);
-            let rows: Vec<u32> = (0..height).collect();
-            // All rows at once, and the 32 of a slice.
-            let taken = |rows_at_once: usize| {
-                parts.each(|marcher, part| {
-                    let of_rows =
-                        || rows.chunks(rows_at_once).map(|rows| marcher.pieces(part, &asked, &[rows]));
-                    // The first time uploads and compiles.
-                    let words: usize = of_rows().flatten().map(|words| words.len()).sum();
-                    let since = Instant::now();
-                    let again: usize = of_rows().flatten().map(|words| words.len()).sum();
-                    assert_eq!(words, again);
-                    since.elapsed().as_millis()
-                })
-            };
-            println!("{mode:?} on {device}: at once {:?}, by slices {:?}", taken(height as usize), taken(32));
-        }
     }
 }
