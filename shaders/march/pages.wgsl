@@ -29,7 +29,7 @@ fn run_at(line: Line, lattice: Lattice, from_point: u32, stride: u32) -> Run {
         let is_nothing = entry == NOTHING;
         let index = select(entry & ((1u << LEVEL_SHIFT) - 1u), 0u, is_nothing);
         let ascends = line.dir > vec3f(0.0);
-        // Nothing is a page of the finest level.
+        // NOTHING has the size of a page of the finest level.
         let edge = cell + select(vec3u(0u), vec3u(1u), ascends);
         let is_outer = (edge == vec3u(0u)) | (edge == scene.page_grid);
         let inner = vec3f(edge * PAGE_CELLS) + 0.5;
@@ -107,7 +107,7 @@ fn occupancy_byte(plane: u32, i: u32) -> u32 {
     return byte_of(occupancy[page.first_word + plane * PAGE_WORDS + i / 4u], i);
 }
 
-// Stands for a page of which nothing is seen.
+// Marks a page of the finest level in which the look shows nothing.
 const NOTHING: u32 = 0xffffffffu;
 // Farther away than any point of a volume.
 const FAR: f32 = 1e30;

@@ -29,7 +29,7 @@ pub(crate) enum AsideJob {
     Gather(u64),
     /// A frame as bytes.
     Code(CodeJob),
-    /// Nobody has these any more.
+    /// Frames and references that nobody uses any more.
     Forget {
         frames: Vec<u64>,
         references: Vec<u64>,
@@ -169,7 +169,7 @@ impl Numbers {
         found.map(|(number, _)| *number)
     }
 
-    /// The numbers of what nobody has any more: of frames, and of references.
+    /// The numbers of frames and of references that nobody uses any more.
     fn take_dropped(&mut self) -> [Vec<u64>; 2] {
         let dropped = self.frames.extract_if(.., |(_, held)| held.strong_count() == 0);
         let frames = dropped.map(|(number, _)| number).collect();
@@ -200,7 +200,7 @@ impl Cluster<'_> {
         from_words(&words)
     }
 
-    /// Has everybody forget what nobody has any more. In process 0.
+    /// Tells all processes to forget what nobody uses any more. In process 0.
     pub(crate) fn tidy(
         &self,
         numbers: &mut Numbers,

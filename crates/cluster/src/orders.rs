@@ -378,9 +378,9 @@ impl Cluster<'_> {
 const MOST_SCENES: usize = 3;
 /// Whether a frame is still wanted is looked at so often.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
-/// Process 0 asks so often how far the pages of others are, while any are to come and nothing is ordered.
+/// How often process 0 asks how far the pages of others are, while some are to come and nothing is ordered.
 const ASK_AGAIN: Duration = Duration::from_millis(100);
-/// It looks so often whether viewers have left.
+/// It checks so often whether viewers have left.
 const LOOK_ROUND: Duration = Duration::from_secs(1);
 /// Most orders that wait; who orders more waits too.
 const MOST_WAITING: usize = 16;

@@ -18,13 +18,13 @@ pub trait PartReader: Send + Sync {
     /// How far the own pages for a viewer are now.
     fn progress(&self, key: PlanKey) -> PartProgress;
 
-    /// Whom pages are read for.
+    /// The viewers that pages are read for.
     fn viewers(&self) -> Vec<PlanKey>;
 
-    /// All viewers but these have left.
+    /// Only these viewers are left.
     fn keep(&self, viewers: &[PlanKey]);
 
-    /// The pages of all other processes for a viewer are so far, in a frame that is made or by now.
+    /// Takes note how far the pages of all other processes are for a viewer: now, or in the frame that is being made.
     fn note_others(&self, key: PlanKey, others: PartProgress, in_frame: bool);
 }
 
@@ -45,7 +45,7 @@ impl PagesOrder {
 }
 
 impl Cluster<'_> {
-    /// What the others need to know of the pages of an ordered scene.
+    /// What the other processes must know about the pages of an ordered scene.
     pub(crate) fn pages_order(&self, scene: &Scene) -> Option<PagesOrder> {
         let (key, view) = scene.pages.as_ref()?.set.seen_by()?;
         let PageView { camera, rests, .. } = view;
@@ -53,7 +53,7 @@ impl Cluster<'_> {
         Some(PagesOrder { key: *key, camera: camera.into(), rests: *rests, viewers })
     }
 
-    /// A scene by the pages of the own part that are there, or without any, and how far those are.
+    /// A scene with the pages of the own part that have arrived, or without pages, and the progress of those.
     pub(crate) fn by_own_pages(&self, scene: &Scene, order: Option<&PagesOrder>) -> (Scene, PartProgress) {
         let (Some(order), Some(reader)) = (order, self.reader) else {
             return (scene.without_pages(), PartProgress::default());
@@ -68,7 +68,7 @@ impl Cluster<'_> {
         (scene, part)
     }
 
-    /// Process 0 hears how far the pages of all others are by now. Whether any are still to come.
+    /// Tells process 0 how far the pages of all others are now. Returns whether any are still to come.
     pub(crate) fn tell_progress(&self, viewers: &[PlanKey]) -> Result<bool, ClusterError> {
         let Some(reader) = self.reader else { return Ok(false) };
         reader.keep(viewers);
@@ -76,7 +76,7 @@ impl Cluster<'_> {
         self.tell_parts(&parts, false)
     }
 
-    /// The same for some viewers, in a frame that is made or by now. Everybody gives its own parts.
+    /// The same for these parts, which are those of the frame that is being made, or of now. Each process gives its own.
     pub(crate) fn tell_parts(
         &self,
         parts: &[(PlanKey, PartProgress)],

@@ -60,7 +60,7 @@ impl GatherTarget {
         Self { camera, budget, num_items, of_rays, readback, items_readback }
     }
 
-    /// What `what` says of each ray of a view, in the order of the rays.
+    /// Gathers `what` along each ray of a view, in the order of the rays.
     pub(crate) fn gather(
         &mut self,
         gpu: &Gpu,

@@ -161,7 +161,7 @@ impl Together {
                 let _end = EndOnDrop(orders);
                 serve(volume, look, Backend::Workers(Arc::new(workers)), pager)
             });
-            // The scope would wait for a server that can show nothing any more.
+            // After a panic, the scope would wait for a server that can no longer show anything.
             match catch_unwind(AssertUnwindSafe(|| cluster.work_on(queue, &own))) {
                 Ok(Ok(())) => {}
                 Ok(Err(lost)) => self.give_up(&lost),
@@ -347,7 +347,7 @@ impl Workers for SeveralProcesses {
     }
 }
 
-/// A frame whose rows so many processes have.
+/// A frame whose rows lie in `num` processes.
 struct RowsOfAll {
     made: FrameOfAll,
     num: usize,

@@ -78,7 +78,7 @@ fn renderer_of<'a>(
 ) -> Result<&'a mut GpuRenderer, GpuError> {
     let known = match renderer.take() {
         Some(known) => known,
-        // So it is there even if the pages have no room.
+        // The renderer stays even if the pages have no room.
         None => Box::new(GpuRenderer::new(gpu, scene.without_pages())?),
     };
     let known = renderer.insert(known);

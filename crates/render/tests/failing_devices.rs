@@ -77,7 +77,7 @@ fn a_part_on_a_lost_device_is_marched_on_the_cpu() {
     gpu.device().destroy();
     assert_eq!(words(&marcher), of_cpu, "to the bit");
     assert_eq!(marcher.description(), "cpu");
-    // A device in software is nobody's choice but the user's.
+    // Only the user chooses a software device.
     let chosen = PartRenderer::open(BackendChoice::Auto, 3).unwrap().description();
     assert_eq!(chosen.starts_with("gpu"), !gpu.info().is_software, "{chosen}");
     assert!(PartRenderer::open(BackendChoice::Gpu, 3).unwrap().description().starts_with("gpu"));

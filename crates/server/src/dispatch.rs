@@ -281,7 +281,7 @@ impl Dispatch {
         *self.0.state().present.entry(viewer).or_default() += 1;
     }
 
-    /// A session of a viewer has ended. Whether it was the last one.
+    /// A session of a viewer has ended. Returns whether it was the last one.
     pub(crate) fn forget(&self, viewer: ViewerId) -> bool {
         let mut state = self.0.state();
         let others = state.present.get(&viewer).map_or(0, |sessions| sessions.saturating_sub(1));

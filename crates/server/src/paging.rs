@@ -27,7 +27,7 @@ pub struct FramePages {
 }
 
 impl FramePages {
-    /// What a frame of them shows.
+    /// How fine a frame of these pages is.
     pub fn fineness(&self) -> Fineness {
         if !self.rests || self.is_paused || self.part.progress.is_loading() {
             Fineness::Draft
@@ -66,7 +66,7 @@ struct State {
     /// What the newest looks leave visible, by known values.
     seen: Vec<(Scene, Arc<SeenPages>)>,
     sets: HashMap<PlanKey, (u64, Arc<PageSet>)>,
-    /// How far the parts of other processes are by now, and in the newest frame.
+    /// How far the parts of other processes are now, and were in the newest frame.
     others: HashMap<PlanKey, [PartProgress; 2]>,
     /// Changes with the pages of other processes.
     version_of_others: u64,
@@ -204,7 +204,7 @@ impl Pager {
         FramePages { part: others.map_or(pages.part, |[_, others]| pages.part.and(others)), ..pages }
     }
 
-    /// The parts of other processes have come so far, in a viewer's frame that is made or by now.
+    /// Takes note how far the parts of other processes are for a viewer: now, or in the frame that is being made.
     pub fn note_others(&self, key: PlanKey, others: PartProgress, in_frame: bool) {
         let version = {
             let mut state = self.shared.state();
@@ -224,12 +224,12 @@ impl Pager {
         self.shared.state().residency.progress(key)
     }
 
-    /// Whom pages are read for.
+    /// The viewers that pages are read for.
     pub fn viewers(&self) -> Vec<PlanKey> {
         self.shared.state().views.keys().copied().collect()
     }
 
-    /// All other viewers have left.
+    /// Only these viewers are left.
     pub fn forget_others(&self, viewers: &[PlanKey]) {
         let gone = self.viewers().into_iter().filter(|key| !viewers.contains(key));
         gone.for_each(|key| self.forget(key));

@@ -192,7 +192,7 @@ impl PageSet {
         Self { pyramid, grid, table, pages, rough, seen_by: None }
     }
 
-    /// The same set, of which only the parts of these pages are looked at and not fine yet.
+    /// The same set, where only these pages are both looked at and not yet fine.
     pub fn with_rough(mut self, pages: impl Iterator<Item = PageId>) -> Self {
         self.rough.fill(false);
         pages.for_each(|page| self.pyramid.fill(page, &mut self.rough, true));

@@ -47,7 +47,7 @@ pub struct PageProgress {
     pub coarse_share: f32,
 }
 
-/// How far the part of a view is that one of several processes reads.
+/// Progress of the part of a view that one of several processes reads.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PartProgress {
     /// How far it is.

@@ -211,7 +211,7 @@ impl Split {
     fn border(&self, wanted: u32, voxels: &VoxelBox, axis: usize) -> Option<u32> {
         let unit = self.unit;
         let least = (voxels.first[axis] / unit + 1) * unit;
-        // Behind the last plane lies more than the last voxel: pages are of cells between voxels.
+        // Pages consist of cells between voxels, so a plane before the last voxel would leave no cell behind it.
         let end = voxels.end[axis] - u32::from(unit == PAGE_CELLS && voxels.end[axis] == self.dims[axis]);
         let most = end.checked_sub(1)? / unit * unit;
         (least <= most).then(|| ((wanted + unit / 2) / unit * unit).clamp(least, most))

@@ -167,7 +167,7 @@ impl<'a, T: Texels> Fields<'a, T> {
             // A step belongs to the page of its middle, so both ends are at most half a step outside.
             let half = 0.5 * stride as f32;
             let at = self.cell(set, ray, lattice, *i as f32 + half);
-            // Nothing is a page of the finest level.
+            // NOTHING has the size of a page of the finest level.
             let field = self.pages.get(table[set.cell(at)] as usize);
             let faces =
                 field.map_or_else(|| set.pyramid().faces(PageId { level: 0, at }), |field| field.faces);

@@ -25,7 +25,7 @@ pub struct ScenePages {
     seen: Option<Arc<SeenPages>>,
 }
 
-/// Stands for a page of the finest level of which the look shows nothing, whatever a coarser one would show there.
+/// Marks a page of the finest level in which the look shows nothing. No coarser page is shown in its place.
 pub const NOTHING: u32 = u32::MAX;
 
 /// A page under a look.
@@ -250,8 +250,8 @@ impl SeenPages {
     }
 }
 
-/// The table of a set. Where nothing is seen, a coarser page would show the means of matter beside. Only beside coarser
-/// matter it does, as that would end at a face.
+/// The table of a set, with [`NOTHING`] where the look shows nothing: a coarser page would blur neighbouring matter into
+/// it. Next to pages that are still coarse it stays, or their matter would be cut off at a face.
 fn table_of(set: &PageSet, seen: Option<&SeenPages>) -> Arc<[u32]> {
     let Some(seen) = seen else { return set.table().into() };
     let cells = || places(set.grid()).map(|at| PageId { level: 0, at });
