@@ -16,8 +16,8 @@ use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{
-    Detail, FoundVoxel, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, Paging, SlabMode, Slice,
-    SlicePlane, SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
+    Detail, FoundVoxel, LevelAssembly, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, Paging,
+    SlabMode, Slice, SlicePlane, SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
 };
 use isinglass_formats::preset;
 use isinglass_tests::levels::{
@@ -341,4 +341,36 @@ fn light_in_pieces_is_the_light_at_once() {
     same(&render(&in_pieces, &camera), &render(&at_once, &camera), "in pieces");
     // The control: the light before is another one.
     assert!(psnr(&render(&before, &camera), &render(&at_once, &camera)) < 45.0);
+}
+
+#[test]
+fn a_level_from_its_pages_is_the_level() {
+    for kind in [VoxelKind::U8, VoxelKind::U16, VoxelKind::F32] {
+        let levels = Levels::of(&volume_of(DIMS, Vec3::ONE, kind), &[[1; 3], [2, 2, 1], [4, 4, 2]]);
+        for (level, volume) in levels.volumes.iter().enumerate() {
+            let mut assembly = LevelAssembly::new(&levels.pyramid, level as u8, 1);
+            let mut ids: Vec<PageId> = assembly.missing().iter().copied().collect();
+            ids.sort_unstable_by_key(|id| id.at.map(|at| at * 7 % 3));
+            for id in &ids {
+                // The control: one page less is another volume.
+                assert!(!assembly.missing().is_empty());
+                assembly.add(&levels.pyramid, &levels.page(*id));
+            }
+            assert!(assembly.missing().is_empty());
+            let page = assembly.finish(&levels.pyramid).unwrap();
+            assert_eq!((page.volume.dims(), page.volume.voxels()), (volume.dims(), volume.voxels()));
+            // It looks as the level by itself: steps may begin elsewhere.
+            let scene = |v: &Volume| {
+                let settings = settings(Mode::Composite, Lighting::default());
+                Scene::new(Arc::new(v.clone()), &transfer(), settings)
+            };
+            let set = Arc::new(PageSet::of_level(levels.pyramid.clone(), Arc::new(page)));
+            let paged = scene(&levels.base()).with_pages(set, None);
+            for camera in cameras(&paged) {
+                let (found, truth) = (render(&paged, &camera), render(&scene(volume), &camera));
+                assert!(psnr(&found, &truth) > 45.0, "{level}: {}", psnr(&found, &truth));
+                same(&render(&paged.of_level().unwrap(), &camera), &truth, "without pages");
+            }
+        }
+    }
 }

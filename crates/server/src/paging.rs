@@ -62,7 +62,7 @@ struct PagerThreads {
 
 struct State {
     residency: Residency,
-    views: HashMap<PlanKey, (PageView, usize, Option<Arc<SeenPages>>)>,
+    views: HashMap<PlanKey, PlannedView>,
     /// What the newest looks leave visible, by known values.
     seen: Vec<(Scene, Arc<SeenPages>)>,
     sets: HashMap<PlanKey, (u64, Arc<PageSet>)>,
@@ -72,6 +72,14 @@ struct State {
     version_of_others: u64,
     is_paused: bool,
     is_over: bool,
+}
+
+/// What a plan was made for.
+struct PlannedView {
+    view: PageView,
+    /// Pages of the viewer's share of the memory, and the level that it holds whole.
+    room: (usize, Option<u8>),
+    seen: Option<Arc<SeenPages>>,
 }
 
 impl State {
@@ -168,10 +176,12 @@ impl Pager {
     pub fn pages(&self, viewer: ViewerId, view: &PageView, scene: &Scene) -> FramePages {
         let key = viewer.0;
         let mut state = self.shared.state();
-        let room = state.residency.share(key);
+        // A process that has a part of the volume holds no level of all.
+        let level = state.residency.level_that_fits(key).filter(|_| self.shared.own.is_none());
+        let room = (state.residency.share(key), level);
         let seen = self.shared.seen(&mut state, scene);
-        let is_same = |(known, of, by): &(PageView, usize, Option<Arc<SeenPages>>)| {
-            (known, *of) == (view, room) && same(by.as_ref(), seen.as_ref())
+        let is_same = |known: &PlannedView| {
+            (&known.view, known.room) == (view, room) && same(known.seen.as_ref(), seen.as_ref())
         };
         if !state.views.get(&key).is_some_and(is_same) {
             let pyramid = state.residency.pyramid();
@@ -179,9 +189,13 @@ impl Pager {
                 self.shared.own.as_ref().is_none_or(|own| pyramid.meets(id, own))
                     && seen.as_ref().is_none_or(|seen| seen.sees(id))
             };
-            let plan = PagePlan::of(pyramid, view, room, is_visible);
+            let plan = PagePlan::of(pyramid, view, room.0, is_visible);
+            let plan = match level {
+                Some(level) => plan.or_level(pyramid, level),
+                None => plan,
+            };
             state.residency.set_plan(key, plan);
-            state.views.insert(key, (view.clone(), room, seen));
+            state.views.insert(key, PlannedView { view: view.clone(), room, seen });
             state.sets.remove(&key);
             self.shared.work.notify_all();
         }
@@ -239,7 +253,7 @@ impl Pager {
     pub fn shown(&self, viewer: ViewerId) -> Option<FramePages> {
         let key = viewer.0;
         let state = self.shared.state();
-        let view = &state.views.get(&key)?.0;
+        let view = &state.views.get(&key)?.view;
         let (_, set) = state.sets.get(&key)?;
         let (part, is_paused) = (state.part(key), state.is_paused);
         Some(FramePages { set: set.clone(), part, rests: view.rests, is_paused })
@@ -364,7 +378,17 @@ impl PagerThreads {
             let page = page.unwrap_or_else(|_| Err(PageError::Damaged("reading it failed".into())));
             state = self.state();
             match page {
-                Ok(page) => state.residency.insert(Arc::new(page)),
+                Ok(page) => {
+                    if let Some(level) = state.residency.insert(Arc::new(page)) {
+                        drop(state);
+                        let level = level.finish(self.source.pyramid());
+                        state = self.state();
+                        match level {
+                            Ok(level) => state.residency.insert_level(Arc::new(level)),
+                            Err(e) => tracing::error!("a level cannot be held whole: {e}"),
+                        }
+                    }
+                }
                 Err(e) => {
                     if state.residency.fail(id, matches!(e, PageError::Damaged(_))) {
                         tracing::warn!("page {:?} of level {} stays coarse: {e}", id.at, id.level);

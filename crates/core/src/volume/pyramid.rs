@@ -158,6 +158,13 @@ impl Pyramid {
         std::array::from_fn(|i| dims[i].saturating_sub(1).div_ceil(PAGE_CELLS * factor[i]).max(1))
     }
 
+    /// All pages of a level, x fastest.
+    pub fn page_ids(&self, level: u8) -> impl Iterator<Item = PageId> + use<> {
+        let [nx, ny, nz] = self.pages(usize::from(level));
+        let places = (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
+        places.map(move |at| PageId { level, at })
+    }
+
     /// The page of a level that covers a page of the finest one. Both must exist.
     pub fn page_over(&self, at: [u32; 3], level: u8) -> PageId {
         let (factor, pages) = (self.levels[usize::from(level)].factor, self.pages(usize::from(level)));
