@@ -367,14 +367,18 @@ impl Residency {
         (self.max_pages / (others + 1)).saturating_sub(SLACK)
     }
 
-    /// There is memory for so many pages from now on. Without any, all pages and plans are forgotten.
+    /// There is memory for so many pages from now on. All plans are forgotten, and the finest pages go as far as there is
+    /// no room.
     pub fn set_room(&mut self, max_pages: usize) {
         self.max_pages = max_pages.min(self.limit);
         self.version += 1;
-        if max_pages == 0 {
-            self.plans.clear();
-            self.resident.clear();
-        }
+        self.plans.clear();
+        self.evict();
+    }
+
+    /// The pages in memory beside those of the coarsest level.
+    pub fn pages(&self) -> impl Iterator<Item = &Arc<Page>> {
+        self.resident.values()
     }
 
     /// A viewer has another plan.
