@@ -37,6 +37,9 @@ pub struct OpenOptions<'a> {
     pub spacing: Option<Vec3>,
     /// Most bytes of memory for the voxels, including the second copy that some files need during reading.
     pub max_bytes: u64,
+    /// Bytes of them that other volumes take until this one is shown. One that does not fit beside them is read by pages,
+    /// which get all of the memory later.
+    pub held: u64,
     /// Whether a header may name files outside its own folder, and links in a folder may lead outside.
     pub foreign_files: bool,
     /// How the numbers become voxels.
@@ -58,6 +61,7 @@ impl Default for OpenOptions<'_> {
             selection: Selection::default(),
             spacing: None,
             max_bytes: DEFAULT_MAX_BYTES,
+            held: 0,
             foreign_files: false,
             reading: Reading::USUAL,
             by_pages: false,
@@ -69,6 +73,13 @@ impl Default for OpenOptions<'_> {
 }
 
 impl OpenOptions<'_> {
+    /// The same options for a volume that is read whole beside others. A level that is chosen stays, and so do the channels
+    /// that are shown together.
+    fn beside(&self) -> Self {
+        let held = if self.selection.level.is_none() { self.held } else { 0 };
+        Self { max_bytes: self.max_bytes.saturating_sub(held), held: 0, ..*self }
+    }
+
     /// Refuses to use more than the allowed bytes of memory.
     pub(crate) fn check_memory(&self, path: &Path, needed: u64) -> Result<(), FormatError> {
         if needed > self.max_bytes {
@@ -101,6 +112,7 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
     let volume = match source.strip_prefix("builtin:") {
         Some(name) => open_builtin(name, options)?,
         None => {
+            let options = &options.beside();
             let (path, file) = open_source(source, options)?;
             read_volume(file, &path, options)?
         }
@@ -139,7 +151,7 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
     if let Some(found) = outline_by_pages(source, options)? {
         return Ok(found);
     }
-    let mut found = outline_of(source, options)?;
+    let mut found = outline_of(source, &options.beside())?;
     if let Some(labels) = &options.reading.labels {
         let num_voxels = found.dims.iter().map(|&n| u64::from(n)).product();
         let [when_read, while_reading] = bytes_of_labels(labels, num_voxels, options)?;
@@ -162,14 +174,22 @@ fn outline_by_pages(source: &str, options: &OpenOptions) -> Result<Option<Outlin
         let finest = outline.levels.first().map_or(outline.whole_dims, |level| level.dims);
         outline.level == 0 && (options.selection.region.is_some() || outline.dims.map(u64::from) == finest)
     };
-    match outline_of(source, options) {
-        Ok(found) if fits(&found) => return Ok(None),
+    let alone = match outline_of(source, options) {
+        Ok(found) if fits(&found) => Some(found),
         // Whoever opens it is told of other errors.
-        Ok(_) | Err(_) => {}
+        Ok(_) | Err(_) => None,
+    };
+    let room = options.max_bytes.saturating_sub(options.held);
+    if alone.as_ref().is_some_and(|alone| options.held == 0 || alone.bytes_needed() <= room) {
+        return Ok(None);
     }
     let Some(pages) = page_count(source, &for_pages(options)) else { return Ok(None) };
     let selection = Selection { level: Some(0), ..options.selection };
     let mut found = outline_of(source, &OpenOptions { selection, max_bytes: u64::MAX, ..*options })?;
+    // What fits alone shows the same channels beside others.
+    if alone.is_some_and(|alone| alone.shown.channel != found.shown.channel) {
+        return Ok(None);
+    }
     if options.selection.region.is_none() {
         let finest = found.levels.first().map_or(found.whole_dims, |level| level.dims);
         found.dims = finest.map(|n| u32::try_from(n).unwrap_or(u32::MAX));

@@ -1,8 +1,9 @@
 //! Pages of a volume that does not fit into memory: threads read what viewers look at, and frames show what is there.
 
+use std::any::Any;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 
 use isinglass_core::kernels::march::{Scene, SeenPages};
 use isinglass_core::layer::Fineness;
@@ -53,6 +54,7 @@ struct PagerThreads {
     own: Option<VoxelBox>,
     num_channels: usize,
     max_bytes: u64,
+    page_bytes: u64,
     max_pages: usize,
     state: Mutex<State>,
     /// Notified when there may be something to read.
@@ -70,6 +72,8 @@ struct State {
     others: HashMap<PlanKey, [PartProgress; 2]>,
     /// Changes with the pages of other processes.
     version_of_others: u64,
+    /// What was shown before, as long as its memory is not free.
+    remains: Remains,
     is_paused: bool,
     is_over: bool,
 }
@@ -80,6 +84,28 @@ struct PlannedView {
     /// Pages of the viewer's share of the memory, and the level that it holds whole.
     room: (usize, Option<u8>),
     seen: Option<Arc<SeenPages>>,
+}
+
+/// Parts of a volume that is no longer shown, with their bytes. Frames on their way may hold them for a while.
+#[derive(Default)]
+pub(crate) struct Remains(Vec<(Weak<dyn Any + Send + Sync>, u64)>);
+
+impl Remains {
+    /// A volume in memory.
+    pub(crate) fn of_volume(volume: &Arc<Volume>) -> Self {
+        Self(vec![Self::part(volume, volume.bytes_in_memory())])
+    }
+
+    fn part<T: Any + Send + Sync>(part: &Arc<T>, bytes: u64) -> (Weak<dyn Any + Send + Sync>, u64) {
+        let weak: Weak<T> = Arc::downgrade(part);
+        (weak, bytes)
+    }
+
+    /// Bytes of what is still there.
+    fn bytes(&mut self) -> u64 {
+        self.0.retain(|(part, _)| part.strong_count() > 0);
+        self.0.iter().map(|(_, bytes)| bytes).sum()
+    }
 }
 
 impl State {
@@ -132,14 +158,16 @@ impl Pager {
         let max_pages = ((max_bytes / page_bytes) as usize).saturating_sub(pages.len());
         let residency = Residency::new(pyramid, pages, max_pages);
         let (views, seen, sets, others) = Default::default();
-        let (version_of_others, is_paused, is_over) = (0, false, false);
-        let state = State { residency, views, seen, sets, others, version_of_others, is_paused, is_over };
+        let (version_of_others, remains, is_paused, is_over) = (0, Remains::default(), false, false);
+        let state =
+            State { residency, views, seen, sets, others, version_of_others, remains, is_paused, is_over };
         let shared = Arc::new(PagerThreads {
             source,
             ranges,
             own,
             num_channels,
             max_bytes,
+            page_bytes,
             max_pages,
             state: Mutex::new(state),
             work: Condvar::new(),
@@ -273,23 +301,43 @@ impl Pager {
         state.others.remove(&key);
     }
 
-    /// Gives the memory of all pages back: frames show the coarsest level until this ends.
-    pub(crate) fn pause(&self, is_paused: bool) {
+    /// Gives so many bytes back: until [`Self::resume`], frames have less fine pages.
+    pub(crate) fn make_room(&self, bytes: u64) {
+        let num_pages = usize::try_from(bytes.div_ceil(self.shared.page_bytes)).unwrap_or(usize::MAX);
+        self.set_room(self.shared.max_pages.saturating_sub(num_pages), true);
+    }
+
+    /// Takes all of its memory again.
+    pub(crate) fn resume(&self) {
+        if self.shared.state().is_paused {
+            self.set_room(self.shared.max_pages, false);
+        }
+    }
+
+    /// Another volume is shown: reads no more, and returns the pages that somebody may still hold.
+    pub(crate) fn end(&self) -> Remains {
+        let page = |page: &Arc<Page>| Remains::part(page, page.num_bytes());
+        let remains = self.shared.state().residency.pages().map(page).collect();
+        self.set_room(0, true);
+        Remains(remains)
+    }
+
+    /// Takes only the memory that what was shown before has left.
+    pub(crate) fn follow(&self, remains: Remains) {
+        self.shared.state().remains = remains;
+    }
+
+    fn set_room(&self, max_pages: usize, is_paused: bool) {
         let version = {
             let mut state = self.shared.state();
             state.is_paused = is_paused;
-            state.residency.set_room(if is_paused { 0 } else { self.shared.max_pages });
+            state.residency.set_room(max_pages);
             state.views.clear();
             state.sets.clear();
             state.version()
         };
         self.shared.changed.send_replace(version);
         self.shared.work.notify_all();
-    }
-
-    /// Bytes of the pages, at most.
-    pub(crate) fn bytes_held(&self) -> u64 {
-        if self.shared.state().is_paused { 0 } else { self.max_bytes() }
     }
 
     /// The levels.
@@ -369,8 +417,13 @@ impl PagerThreads {
             if state.is_over {
                 return;
             }
-            let Some(id) = state.residency.take_next() else {
-                state = self.work.wait(state).unwrap_or_else(PoisonError::into_inner);
+            let has_room = self.has_room(&mut state);
+            let Some(id) = (if has_room { state.residency.take_next() } else { None }) else {
+                state = match has_room {
+                    true => self.work.wait(state).unwrap_or_else(PoisonError::into_inner),
+                    // Nobody tells when the last frame of what was shown before is gone.
+                    false => self.work.wait_timeout(state, POLL).unwrap_or_else(PoisonError::into_inner).0,
+                };
                 continue;
             };
             drop(state);
@@ -400,6 +453,13 @@ impl PagerThreads {
             // Room for another page may be there.
             self.work.notify_one();
         }
+    }
+
+    /// Whether there is memory for another page beside what was shown before.
+    fn has_room(&self, state: &mut State) -> bool {
+        let remains = state.remains.bytes();
+        let own = (state.residency.num_pages() as u64 + 1) * self.page_bytes;
+        remains == 0 || remains + own <= self.max_bytes
     }
 
     fn page(&self, id: PageId) -> Result<Page, PageError> {

@@ -20,8 +20,8 @@ pub struct Page {
     pub volume: Arc<Volume>,
     /// Minima and maxima of each channel.
     pub bricks: Vec<Bricks>,
-    /// Whether it has nothing anywhere.
-    pub is_nothing: bool,
+    /// Whether each channel has nothing anywhere.
+    pub are_nothing: Vec<bool>,
 }
 
 impl Page {
@@ -49,7 +49,8 @@ impl Page {
         channels: Vec<PageVoxels>,
     ) -> Result<Self, VolumeError> {
         let is_nothing =
-            channels.first().is_some_and(|c| c.gaps.as_ref().is_some_and(|g| g.iter().all(|gap| *gap != 0)));
+            |channel: &PageVoxels| channel.gaps.as_ref().is_some_and(|g| g.iter().all(|gap| *gap != 0));
+        let are_nothing = channels.iter().map(is_nothing).collect();
         let mut volumes = Vec::new();
         for (channel, PageVoxels { voxels, gaps }) in channels.into_iter().enumerate() {
             volumes.push(pyramid.page_volume(id, dims, channel, PageVoxels { voxels, gaps })?);
@@ -58,7 +59,7 @@ impl Page {
         let mut volumes = volumes.into_iter();
         let first = volumes.next().ok_or(VolumeError::Count { dims: [0; 3], expected: 1, found: 0 })?;
         let volume = Arc::new(first.with_others(volumes.map(Arc::new).collect())?);
-        Ok(Self { id, volume, bricks, is_nothing })
+        Ok(Self { id, volume, bricks, are_nothing })
     }
 
     /// A channel, from 0; the first if there is no such.
@@ -93,7 +94,7 @@ impl Pyramid {
         let info = VolumeInfo { are_labels: self.info.are_labels, ..VolumeInfo::default() };
         let volume = Volume::new(dims, spacing, voxels, map, info)?;
         let volume = match gaps {
-            Some(gaps) => volume.with_gaps(gaps),
+            Some(gaps) => volume.with_filled_gaps(gaps),
             None => volume,
         };
         let first = Vec3::from_array(std::array::from_fn(place));

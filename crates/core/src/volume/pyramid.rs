@@ -80,7 +80,7 @@ pub struct PageId {
 /// The voxels of a page: [`PAGE_POINTS`]³ of them, x fastest. Beyond the level's last voxel that one repeats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PageVoxels {
-    /// The stored numbers.
+    /// The stored numbers. Gaps are filled as in the whole level, from beyond the page, too: [`Volume::with_gaps`].
     pub voxels: Voxels,
     /// A byte a voxel that is not 0 where there is nothing; `None` if there is something everywhere.
     pub gaps: Option<Vec<u8>>,

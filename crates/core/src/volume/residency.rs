@@ -436,15 +436,22 @@ impl Residency {
         (num_voxels * bytes_of_voxel).div_ceil(page.num_bytes()) as usize
     }
 
-    /// There is memory for so many pages from now on. Without any, all pages and plans are forgotten.
+    /// There is memory for so many pages from now on. All plans are forgotten, and the finest pages go as far as there is
+    /// no room.
     pub fn set_room(&mut self, max_pages: usize) {
         self.max_pages = max_pages.min(self.limit);
         self.version += 1;
-        if max_pages == 0 {
-            self.plans.clear();
-            self.resident.clear();
-            self.levels.clear();
-        }
+        self.plans.clear();
+        self.evict();
+    }
+
+    /// The pages in memory beside those of the coarsest level, and the levels that are held whole.
+    pub fn pages(&self) -> impl Iterator<Item = &Arc<Page>> {
+        let levels = self.levels.values().filter_map(|level| match level {
+            WholeLevel::Page(level) => Some(level),
+            WholeLevel::Assembly(_) | WholeLevel::Complete => None,
+        });
+        self.resident.values().chain(levels)
     }
 
     /// A viewer has another plan.

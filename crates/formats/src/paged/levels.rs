@@ -30,8 +30,14 @@ impl PageLevel {
         self.plan.steps(grid, channel..channel + 1, self.chosen.time.into())
     }
 
-    fn num_voxels(&self) -> u64 {
+    pub(super) fn num_voxels(&self) -> u64 {
         self.shape.dims.iter().map(|&n| u64::from(n)).product()
+    }
+
+    /// Bytes of all channels while the level is read whole: one of them is there twice.
+    pub(super) fn bytes_of_base(&self) -> u64 {
+        let of_voxel = self.plan.dtype.num_bytes_in_memory() as u64 * (self.chosen.channels.len() as u64 + 1);
+        self.num_voxels().saturating_mul(of_voxel)
     }
 }
 

@@ -15,7 +15,7 @@ use std::sync::atomic::AtomicBool;
 
 use isinglass_core::volume::{PAGE_CELLS, PageRanges, PageSource, Paging, Volume};
 
-use self::base::Base;
+use self::base::{Base, bytes_to_open};
 use self::build::{built_index, known_index};
 pub use self::index::{PageIndex, PageIndexBuilder};
 pub(crate) use self::index_file::IndexPlace;
@@ -121,10 +121,12 @@ pub fn open_paged(source: &str, options: &OpenOptions) -> Result<PagedFile, Form
 pub fn page_count(source: &str, options: &OpenOptions) -> Option<PageCount> {
     let is_file = !source.starts_with("builtin:");
     let (path, file) = open_source(source, options).ok().filter(|_| is_file)?;
-    let levels = page_levels(file.boxes(&path).ok()?, &path, options).ok()?;
+    let mut levels = page_levels(file.boxes(&path).ok()?, &path, options).ok()?;
     let pages = |n: u32| u64::from(n.saturating_sub(1).div_ceil(PAGE_CELLS).max(1));
     let finest = levels.first()?.shape.dims.into_iter().map(pages).product();
-    Some(PageCount { levels: levels.len() as u32, finest })
+    let num_levels = levels.len() as u32;
+    let bytes_to_open = bytes_to_open(&mut levels, options.max_bytes);
+    Some(PageCount { levels: num_levels, finest, bytes_to_open })
 }
 
 /// Most voxels along an axis of a volume that is read by pages.

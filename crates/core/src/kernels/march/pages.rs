@@ -139,7 +139,8 @@ impl Scene {
             Some((known, _)) => known.occupancy.clone(),
             None => self.occupancy_of(page),
         };
-        let is_visible = !page.is_nothing && occupancy.words.iter().any(|word| has_zero_byte(*word));
+        let is_nothing = page.are_nothing[self.first_channel];
+        let is_visible = !is_nothing && occupancy.words.iter().any(|word| has_zero_byte(*word));
         let known = known.map(|(known, _)| known).filter(|known| known.lit.is_some());
         let (lit, lit_for) = match known {
             _ if own.is_none() => (None, None),
