@@ -51,16 +51,20 @@ impl Coordinates {
         }
     }
 
-    /// Takes the coordinates of all numbers along the axis. `is_told` says that the file itself tells whether they
-    /// rise downwards.
-    pub(super) fn set_numbers(&mut self, mut numbers: Vec<f64>, is_told: bool) {
+    /// Takes the coordinates of a variable. `is_told` says that the file itself tells whether they rise downwards.
+    pub(super) fn set_variable(&mut self, mut numbers: Vec<f64>, is_told: bool) {
         if self.kind == Some(AxisKind::Space(0)) && self.unit == degrees() {
             unwind(&mut numbers);
         }
-        let [first, .., last] = numbers[..] else { return };
         // Depths below zero are heights, unless the file says otherwise.
         let is_height = !is_told && is_length(&self.unit) && numbers.iter().all(|x| *x <= 0.0);
-        self.is_down &= !is_height;
+        self.is_down &= !(is_height && numbers.len() > 1);
+        self.set_numbers(&numbers);
+    }
+
+    /// Takes the coordinates of all numbers along the axis.
+    pub(crate) fn set_numbers(&mut self, numbers: &[f64]) {
+        let [first, .., last] = numbers[..] else { return };
         let step = (last - first) / (numbers.len() - 1) as f64;
         if !step.is_finite() || step == 0.0 {
             return;
@@ -68,11 +72,6 @@ impl Coordinates {
         // Coordinates in single precision differ by their last digits.
         let tolerance = (step.abs() * UNEVEN).max(first.abs().max(last.abs()) * SINGLE);
         self.is_uneven = numbers.windows(2).any(|pair| ((pair[1] - pair[0]) - step).abs() > tolerance);
-        self.set_line(first, step);
-    }
-
-    /// Takes the first coordinate and the mean distance to the next.
-    pub(super) fn set_line(&mut self, first: f64, step: f64) {
         let sign = if self.is_down { -1.0 } else { 1.0 };
         self.line = Some((sign * first, sign * step));
     }
@@ -143,7 +142,7 @@ mod tests {
     fn axis(kind: usize, unit: Unit, numbers: &[f64], is_down: bool) -> Coordinates {
         let mut axis =
             Coordinates { kind: Some(AxisKind::Space(kind)), unit, is_down, ..Coordinates::default() };
-        axis.set_numbers(numbers.to_vec(), false);
+        axis.set_variable(numbers.to_vec(), false);
         axis
     }
 

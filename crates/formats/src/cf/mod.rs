@@ -1,14 +1,14 @@
 //! The CF conventions (cfconventions.org), which files of climate, weather and ocean models follow: what the axes of a
 //! variable are, where they point, and how numbers become values. NetCDF, HDF5 and the Zarr groups of xarray share it.
 
-mod choice;
+mod candidate;
 mod coordinates;
 mod layout;
 mod names;
 mod values;
 mod variables;
 
-pub(crate) use self::choice::Choice;
+pub(crate) use self::candidate::VolumeCandidate;
 pub(crate) use self::coordinates::{Coordinates, Unit};
 pub(crate) use self::layout::{num_in_space, plan};
 pub(crate) use self::names::kind_of_name;

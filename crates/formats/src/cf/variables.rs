@@ -104,7 +104,7 @@ impl<'a> Variables<'a> {
         let attributes = self.list[source].attributes;
         let mut axis = Coordinates::of(name, Some(attributes), self.is_geo);
         if let Some(found) = numbers.and_then(|read| read(source)) {
-            axis.set_numbers(found, attributes.text("positive").is_some());
+            axis.set_variable(found, attributes.text("positive").is_some());
         }
         axis
     }
@@ -155,7 +155,7 @@ impl<'a> Variables<'a> {
                 false => all.iter().skip(num_columns / 2).step_by(num_columns).copied().collect(),
             };
             axis.unit = super::coordinates::unit_of("degrees");
-            axis.set_numbers(line, false);
+            axis.set_variable(line, false);
         }
     }
 }

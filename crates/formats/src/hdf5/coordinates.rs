@@ -20,7 +20,8 @@ impl<'a> Scales<'a> {
         let is_scale = |a: &&Listed| {
             a.shape.len() == 1 && a.attributes.text("CLASS").as_deref() == Some("DIMENSION_SCALE")
         };
-        let mut scales: Vec<Scale> = all.iter().filter(is_scale).take(MAX_SCALES).map(Scale::of).collect();
+        let mut scales: Vec<DimensionScale> =
+            all.iter().filter(is_scale).take(MAX_SCALES).map(DimensionScale::of).collect();
         scales.sort_by_key(|scale| scale.number);
         let is_of_netcdf = scales.iter().any(|scale| scale.number.is_some());
         // A dimension without coordinates says so in its name, and its numbers are not stored.
@@ -50,14 +51,14 @@ impl<'a> Scales<'a> {
 }
 
 /// An array of coordinates.
-struct Scale<'a> {
+struct DimensionScale<'a> {
     array: &'a Listed,
     folder: &'a str,
     /// The number of its dimension in netCDF.
     number: Option<i64>,
 }
 
-impl<'a> Scale<'a> {
+impl<'a> DimensionScale<'a> {
     fn of(array: &'a Listed) -> Self {
         let number = array.attributes.number("_Netcdf4Dimid").map(|number| number as i64);
         Self { array, folder: folder(&array.path), number }
@@ -70,12 +71,12 @@ fn folder(path: &str) -> &str {
 
 /// The paths of the scales of each axis, as far as there are such. NetCDF numbers its dimensions. Otherwise, a scale of
 /// the same group, or of netCDF one above it, belongs to the axis of its length.
-fn dims(array: &Listed, scales: &[Scale]) -> Vec<Option<String>> {
-    let path = |scale: &Scale| scale.array.path.clone();
+fn dims(array: &Listed, scales: &[DimensionScale]) -> Vec<Option<String>> {
+    let path = |scale: &DimensionScale| scale.array.path.clone();
     let numbers = array.attributes.numbers("_Netcdf4Coordinates");
     if numbers.len() == array.shape.len() {
         let numbered = |(number, length): (&f64, &u64)| {
-            let is_it = |s: &&Scale| s.number == Some(*number as i64) && s.array.shape[0] == *length;
+            let is_it = |s: &&DimensionScale| s.number == Some(*number as i64) && s.array.shape[0] == *length;
             scales.iter().find(is_it).map(path)
         };
         return numbers.iter().zip(&array.shape).map(numbered).collect();
@@ -84,12 +85,12 @@ fn dims(array: &Listed, scales: &[Scale]) -> Vec<Option<String>> {
     if scales.iter().any(|scale| scale.array.path == array.path) {
         return vec![Some(array.path.clone())];
     }
-    let is_near = |s: &&Scale| {
+    let is_near = |s: &&DimensionScale| {
         s.folder == own
             || (s.number.is_some() && own.starts_with(s.folder) && !s.folder.is_empty())
             || (s.number.is_some() && s.folder.is_empty())
     };
-    let near: Vec<&Scale> = scales.iter().filter(is_near).collect();
+    let near: Vec<&DimensionScale> = scales.iter().filter(is_near).collect();
     let with_length = |length: u64| near.iter().filter(move |s| s.array.shape[0] == length);
     let is_alone = |length: &u64| {
         array.shape.iter().filter(|n| *n == length).count() == 1 && with_length(*length).count() == 1
@@ -104,8 +105,8 @@ fn dims(array: &Listed, scales: &[Scale]) -> Vec<Option<String>> {
 }
 
 /// The scales of netCDF for axes of these lengths, if only one choice has them in the order of their numbers.
-fn in_order(shape: &[u64], scales: &[&Scale]) -> Option<Vec<Option<String>>> {
-    let numbered: Vec<&&Scale> = scales.iter().filter(|s| s.number.is_some()).collect();
+fn in_order(shape: &[u64], scales: &[&DimensionScale]) -> Option<Vec<Option<String>>> {
+    let numbered: Vec<&&DimensionScale> = scales.iter().filter(|s| s.number.is_some()).collect();
     if shape.len() > 8 || numbered.is_empty() {
         return None;
     }
@@ -120,7 +121,7 @@ fn in_order(shape: &[u64], scales: &[&Scale]) -> Option<Vec<Option<String>>> {
 /// For each length the next scale that has it.
 fn taken<'a>(
     lengths: impl Iterator<Item = &'a u64>,
-    mut scales: impl Iterator<Item = &'a &'a &'a Scale<'a>>,
+    mut scales: impl Iterator<Item = &'a &'a &'a DimensionScale<'a>>,
 ) -> Vec<Option<String>> {
     let mut next = |length: &u64| scales.find(|s| s.array.shape[0] == *length).map(|s| s.array.path.clone());
     lengths.map(|length| next(length)).collect()

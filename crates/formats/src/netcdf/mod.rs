@@ -8,7 +8,7 @@ use std::io::{BufReader, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use self::header::{ClassicHeader, ClassicVariable};
-use crate::cf::{self, Choice, Variable, Variables};
+use crate::cf::{self, Variable, Variables, VolumeCandidate};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian, numbers_from_bytes};
 use crate::error::{FormatError, io_error, malformed, not_there, one_line, shown};
@@ -20,12 +20,12 @@ use crate::source::{OpenOptions, open_file};
 pub(crate) struct NetcdfFile {
     plan: Plan,
     path: PathBuf,
-    parts: Parts,
+    parts: RecordParts,
 }
 
 /// Where the numbers of a variable are: in parts of equal length.
 #[derive(Clone, Copy)]
-struct Parts {
+struct RecordParts {
     /// Byte of the first part.
     begin: u64,
     count: u64,
@@ -51,15 +51,15 @@ impl NetcdfFile {
             let (shape, dtype) = (header.shape(&header.variables[i]), header.variables[i].dtype?);
             let sizes = cf::num_in_space(&shape, &variables.axes_of(i, None, None))?;
             let is_auxiliary = variables.is_auxiliary(i);
-            (!shape.contains(&0)).then_some((Choice { sizes, is_auxiliary }, (i, dtype)))
+            (!shape.contains(&0)).then_some((VolumeCandidate { sizes, is_auxiliary }, (i, dtype)))
         };
-        let (choices, found): (Vec<Choice>, Vec<(usize, Dtype)>) =
+        let (choices, found): (Vec<VolumeCandidate>, Vec<(usize, Dtype)>) =
             (0..header.variables.len()).filter_map(choice).unzip();
-        let shown = Choice::shown(&choices);
+        let shown = VolumeCandidate::shown(&choices);
         if shown.is_empty() {
             return Err(bad(header.nothing_to_show()));
         }
-        let usual = Choice::usual(&choices, &shown);
+        let usual = VolumeCandidate::usual(&choices, &shown);
         let names: Vec<String> = shown.iter().map(|n| header.description(found[*n].0)).collect();
         let selected = options.selection.series.map_or(usual, |i| i as usize);
         let Some(&(index, dtype)) = shown.get(selected).map(|n| &found[*n]) else {
@@ -111,18 +111,18 @@ impl ClassicHeader {
     }
 
     /// Where the numbers of a variable are; `None` if they are too many.
-    fn parts(&self, index: usize) -> Option<Parts> {
+    fn parts(&self, index: usize) -> Option<RecordParts> {
         let variable = &self.variables[index];
         let mut sides = self.shape(variable);
         let is_record = variable.dims.first().is_some_and(|i| self.dims[*i].is_record);
         let count = if is_record { sides.remove(0) } else { 1 };
         let share = sides.iter().try_fold(1u64, |n, side| n.checked_mul(*side))?;
         share.checked_mul(8)?.checked_mul(count)?;
-        Some(Parts { begin: variable.begin, count, share, apart: self.record_bytes })
+        Some(RecordParts { begin: variable.begin, count, share, apart: self.record_bytes })
     }
 }
 
-impl Parts {
+impl RecordParts {
     /// Byte of a part.
     fn at(&self, part: u64) -> u64 {
         self.begin.saturating_add(self.apart.saturating_mul(part))

@@ -10,7 +10,7 @@ use super::array::Array;
 use super::chunks::short_numbers;
 use super::json;
 use super::store::Store;
-use crate::cf::{self, Choice, Coordinates, Variable, Variables, signed_as_told};
+use crate::cf::{self, Coordinates, Variable, Variables, VolumeCandidate, signed_as_told};
 use crate::error::{FormatError, malformed, not_there, one_line, quoted};
 use crate::plan::Plan;
 use crate::source::OpenOptions;
@@ -117,14 +117,14 @@ impl ArrayGroup {
         let axes = |i: usize| variables.axes_of(i, None, None);
         let choice = |i: usize| {
             let sizes = cf::num_in_space(&all[i].array.shape, &axes(i))?;
-            Some((Choice { sizes, is_auxiliary: variables.is_auxiliary(i) }, i))
+            Some((VolumeCandidate { sizes, is_auxiliary: variables.is_auxiliary(i) }, i))
         };
-        let (choices, found): (Vec<Choice>, Vec<usize>) = (0..all.len()).filter_map(choice).unzip();
-        let shown = Choice::shown(&choices);
+        let (choices, found): (Vec<VolumeCandidate>, Vec<usize>) = (0..all.len()).filter_map(choice).unzip();
+        let shown = VolumeCandidate::shown(&choices);
         let named =
             name.and_then(|name| found.iter().position(|i| all[*i].path.trim_start_matches('/') == name));
         let selected = options.selection.series.map(|i| i as usize);
-        let usual = Choice::usual(&choices, &shown);
+        let usual = VolumeCandidate::usual(&choices, &shown);
         let index = match named {
             Some(named) => found[named],
             None => match shown.get(selected.unwrap_or(usual)) {

@@ -1,14 +1,14 @@
 //! The choice of a volume among the arrays of a file.
 
 /// An array that may be shown.
-pub(crate) struct Choice {
+pub(crate) struct VolumeCandidate {
     /// Sizes along its axes in space.
     pub(crate) sizes: Vec<u64>,
     /// Whether it describes other arrays.
     pub(crate) is_auxiliary: bool,
 }
 
-impl Choice {
+impl VolumeCandidate {
     /// How many of its sides are longer than one.
     fn num_sides(&self) -> usize {
         self.sizes.iter().filter(|n| **n > 1).count()
@@ -38,7 +38,7 @@ mod tests {
 
     #[test]
     fn the_largest_volume_is_shown_that_describes_no_other() {
-        let choice = |sizes: &[u64], is_auxiliary| Choice { sizes: sizes.to_vec(), is_auxiliary };
+        let choice = |sizes: &[u64], is_auxiliary| VolumeCandidate { sizes: sizes.to_vec(), is_auxiliary };
         let list = [
             choice(&[100, 100], false),
             choice(&[4, 5, 6], true),
@@ -46,11 +46,11 @@ mod tests {
             choice(&[3, 4, 5], false),
             choice(&[1, 900, 900], false),
         ];
-        let shown = Choice::shown(&list);
+        let shown = VolumeCandidate::shown(&list);
         assert_eq!(shown, [1, 2, 3]);
-        assert_eq!(Choice::usual(&list, &shown), 1);
+        assert_eq!(VolumeCandidate::usual(&list, &shown), 1);
         // The control: alone, the one that describes others is shown.
-        assert_eq!(Choice::usual(&list, &[1]), 0);
-        assert!(Choice::shown(&[choice(&[7, 1], false)]).is_empty());
+        assert_eq!(VolumeCandidate::usual(&list, &[1]), 0);
+        assert!(VolumeCandidate::shown(&[choice(&[7, 1], false)]).is_empty());
     }
 }
