@@ -15,6 +15,7 @@
 mod alike;
 mod axes;
 mod builtin;
+mod cf;
 mod channel_looks;
 mod channels;
 mod chunk_grid;
@@ -40,6 +41,7 @@ mod metaimage;
 mod mgh;
 pub mod movie;
 mod mrc;
+mod netcdf;
 mod nifti;
 mod npy;
 mod nrrd;

@@ -23,7 +23,7 @@ use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
 use crate::web::{is_address, shown_address};
 use crate::{
-    dicom, hdf5, metaimage, mgh, mrc, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr,
+    dicom, hdf5, metaimage, mgh, mrc, netcdf, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr,
 };
 
 /// How to open a volume.
@@ -325,6 +325,7 @@ pub(crate) fn open_path(path: &Path, options: &OpenOptions) -> Result<Box<dyn Vo
         FileKind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
         FileKind::Vtk => Box::new(vtk::VtkFile::open(file, path)?),
         FileKind::Mgh => Box::new(mgh::MghFile::open(file, path)?),
+        FileKind::Netcdf => Box::new(netcdf::NetcdfFile::open(file, path, options)?),
         FileKind::Hdf5 => Box::new(hdf5::Hdf5File::open(file, path, "/", options)?),
         FileKind::Png => Box::new(png_stack::PngStack::open(vec![path.to_owned()], path, options)?),
         FileKind::Other(sniff::PAIR) => return open_path(&path.with_extension("hdr"), options),
@@ -337,6 +338,9 @@ pub(crate) fn open_path(path: &Path, options: &OpenOptions) -> Result<Box<dyn Vo
 fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile>, FormatError> {
     if zarr::is_group(path) {
         return Ok(Box::new(zarr::ZarrImage::open(path, options)?));
+    }
+    if let Some((found, expected)) = zarr::other_group(path) {
+        return Err(FormatError::Unsupported { path: shown(path), found, expected });
     }
     let home = HomeFolder::of_folder(path, options);
     let mut files = Vec::new();

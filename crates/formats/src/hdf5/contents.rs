@@ -10,6 +10,7 @@ use std::thread;
 use hdf5_pure::{AttrValue, Datatype, DatatypeByteOrder, Group};
 
 use super::source::{MetadataSource, SharedFile};
+use crate::cf::{AttributeList, signed_as_told};
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, one_line, shown};
 
@@ -122,13 +123,9 @@ fn list(
 impl Listed {
     fn of(path: String, dataset: hdf5_pure::Dataset) -> Result<Self, hdf5_pure::Error> {
         let attributes = Attributes(dataset.attrs().unwrap_or_default());
-        Ok(Self {
-            path,
-            shape: dataset.shape()?,
-            kind: number_type(&dataset.datatype()?),
-            attributes,
-            dataset,
-        })
+        let kind = number_type(&dataset.datatype()?);
+        let kind = kind.map(|(dtype, endian)| (signed_as_told(dtype, &attributes), endian));
+        Ok(Self { path, shape: dataset.shape()?, kind, attributes, dataset })
     }
 
     /// Its shape and type, the slowest axis first.
@@ -217,6 +214,20 @@ impl Attributes {
     /// The texts of an attribute; empty if there is none.
     pub(super) fn texts(&self, name: &str) -> &[String] {
         self.0.get(name).and_then(AttrValue::as_strings).unwrap_or_default()
+    }
+}
+
+impl AttributeList for Attributes {
+    fn numbers(&self, name: &str) -> Vec<f64> {
+        Self::numbers(self, name)
+    }
+
+    fn text(&self, name: &str) -> Option<String> {
+        Self::text(self, name)
+    }
+
+    fn has_floats(&self, name: &str) -> bool {
+        self.0.get(name).is_some_and(|value| value.to_f64s().is_some())
     }
 }
 

@@ -113,7 +113,10 @@ fn open_array(
         return Err(bad(nothing_to_show(inside, &own, &scales)));
     }
     let num_voxels = |i: usize| volumes[i].0.iter().fold(1u64, |n, side| n.saturating_mul(*side));
-    let usual = (0..volumes.len()).rev().max_by_key(|&i| num_voxels(i)).unwrap_or(0);
+    let usual = (0..volumes.len())
+        .rev()
+        .max_by_key(|&i| (!scales.is_auxiliary(volumes[i].1), num_voxels(i)))
+        .unwrap_or(0);
     let names: Vec<String> = volumes.iter().map(|(_, array)| array.description()).collect();
     let index = selected.map_or(usual, |i| i as usize);
     let Some((_, array)) = volumes.get(index) else {

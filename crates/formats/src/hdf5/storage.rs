@@ -6,8 +6,8 @@ use hdf5_pure::{ChunkIndex, Dataset, Error, Filter, Layout};
 
 use super::contents::{ArrayFile, Listed, problem};
 use super::source::SharedFile;
-use crate::chunk_grid::{MAX_CHUNKS, next_index};
-use crate::dtype::{Dtype, Endian};
+use crate::chunk_grid::{MAX_CHUNKS, next_index, place_chunk};
+use crate::dtype::{Dtype, Endian, numbers_from_bytes};
 use crate::unpack::Codec;
 
 /// The numbers of an array in the file.
@@ -161,18 +161,15 @@ impl Storage {
         Ok(bytes)
     }
 
-    /// All numbers of a short array with one axis.
-    pub(super) fn numbers(&self) -> Result<Vec<f64>, String> {
-        let count = self.shape.first().copied().filter(|n| self.shape.len() == 1 && *n <= MAX_NUMBERS);
-        let count = count.ok_or("it has several axes, or is long")? as usize;
-        let size = self.dtype.num_bytes();
-        let mut all = self.fill.repeat(count);
-        for chunk in self.chunks(|_| true) {
-            let (from, bytes) = (chunk.start[0] as usize, self.bytes(&chunk)?);
-            let num = count.saturating_sub(from).min(bytes.len() / size);
-            if num > 0 {
-                all[from * size..][..num * size].copy_from_slice(&bytes[..num * size]);
-            }
+    /// All numbers of a short array with one axis or two, the last one fastest.
+    pub(super) fn all_numbers(&self) -> Result<Vec<f64>, String> {
+        let shape = (self.shape.len() <= 2).then_some(&self.shape[..]);
+        let count = shape.and_then(|shape| shape.iter().try_fold(1u64, |n, side| n.checked_mul(*side)));
+        let count = count.filter(|n| *n <= MAX_NUMBERS).ok_or("it has more axes, or is long")?;
+        let mut all = self.fill.repeat(count as usize);
+        for chunk in self.chunks(|start| start.len() == self.shape.len()) {
+            let bytes = self.bytes(&chunk)?;
+            place_chunk(&mut all, &self.shape, (&chunk.start, &self.sides), &bytes, self.dtype.num_bytes());
         }
         Ok(numbers_from_bytes(&all, self.dtype, self.endian))
     }
@@ -240,29 +237,6 @@ fn codec(filter: &Filter, size: usize) -> Result<Codec, String> {
     })
 }
 
-/// Numbers in double precision, as coordinates need.
-fn numbers_from_bytes(bytes: &[u8], dtype: Dtype, endian: Endian) -> Vec<f64> {
-    let number = |word: &[u8]| {
-        let mut low = [0; 8];
-        low[..word.len()].copy_from_slice(word);
-        if endian == Endian::Big {
-            low[..word.len()].reverse();
-        }
-        let bits = u64::from_le_bytes(low);
-        match dtype {
-            Dtype::Uint8 | Dtype::Uint16 | Dtype::Uint32 | Dtype::Uint64 => bits as f64,
-            Dtype::Int8 => f64::from(bits as i8),
-            Dtype::Int16 => f64::from(bits as i16),
-            Dtype::Int32 => f64::from(bits as i32),
-            Dtype::Int64 => bits as i64 as f64,
-            Dtype::Half => half::f16::from_bits(bits as u16).to_f64(),
-            Dtype::Float => f64::from(f32::from_bits(bits as u32)),
-            Dtype::Double => f64::from_bits(bits),
-        }
-    };
-    bytes.chunks_exact(dtype.num_bytes()).map(number).collect()
-}
-
 /// Sides of blocks for reading what is in no chunks: whole rows, planes and so on of a few MiB.
 fn divided(shape: &[u64], bytes_per_number: u64) -> Vec<u64> {
     let mut left = (READ_BYTES / bytes_per_number).max(1);
@@ -319,4 +293,4 @@ const READ_BYTES: u64 = 4 << 20;
 /// Most bytes of a row that is read for its fill value, or of numbers in the metadata.
 const MAX_ROW_BYTES: u64 = 64 << 20;
 /// Most numbers of a short array.
-const MAX_NUMBERS: u64 = 1 << 18;
+const MAX_NUMBERS: u64 = 1 << 22;

@@ -62,7 +62,8 @@ impl Base {
             _ => VoxelKind::F32,
         };
         let words = finest.chosen.warnings.iter().map(|w| w.text.clone());
-        let words = words.chain(levels.iter().find_map(|level| level.reader.cost())).collect();
+        let words = words.chain(levels.iter().find_map(|level| level.reader.cost()));
+        let words = words.chain(finest.reader.absence()).collect();
         let (spacing, first) = (finest.chosen.grid.spacing, Vec3::from_array(level.shape.first));
         Ok(Self {
             volumes,

@@ -1,6 +1,6 @@
 //! Where the files of an image are.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -46,6 +46,39 @@ impl Store {
             Self::Folder(_) => Ok(path.is_file()),
             Self::Web(folder, _) => Ok(folder.read(path, Part::Whole, MAX_PROBED_BYTES)?.is_some()),
         }
+    }
+
+    /// The names of the folders in the folder `path`, sorted, at most so many; empty at an address.
+    ///
+    /// # Errors
+    /// The folder is outside, or cannot be read.
+    pub(super) fn folders_in(&self, path: &Path, most: usize) -> Result<Vec<String>, FormatError> {
+        let Self::Folder(home) = self else { return Ok(Vec::new()) };
+        home.check(path)?;
+        let mut names = Vec::new();
+        for entry in fs::read_dir(path).map_err(io_error(path))?.take(MAX_ENTRIES) {
+            let entry = entry.map_err(io_error(path))?;
+            let name = entry.file_name().to_str().map(str::to_owned);
+            if names.len() < most && entry.path().is_dir() {
+                names.extend(name.filter(|name| !name.starts_with('.')));
+            }
+        }
+        names.sort();
+        Ok(names)
+    }
+
+    /// The names in the folder `path`, at most so many; `None` if there are more, or if it is an address.
+    pub(super) fn names_in(&self, path: &Path, most: usize) -> Option<Vec<String>> {
+        let Self::Folder(home) = self else { return None };
+        home.check(path).ok()?;
+        let mut names = Vec::new();
+        for entry in fs::read_dir(path).ok()? {
+            if names.len() >= most {
+                return None;
+            }
+            names.extend(entry.ok()?.file_name().into_string().ok());
+        }
+        Some(names)
     }
 
     /// Most images that are looked for in a group.
@@ -110,6 +143,8 @@ impl Store {
     }
 }
 
+/// Most entries of a folder that are looked at.
+const MAX_ENTRIES: usize = 1 << 20;
 /// Requests at once.
 const NUM_REQUESTS: usize = 16;
 /// Longest file whose presence is asked for.

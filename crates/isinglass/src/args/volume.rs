@@ -23,7 +23,7 @@ use crate::memory::MemoryArgs;
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
     /// A file or folder, also in gzip or ZIP: DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH,
-    /// NumPy, HDF5, NetCDF-4, Imaris or PNG. An array's path may follow that of an HDF5 file. OME-Zarr may be at http://, https:// or s3://. A raw file needs --dims and --dtype. Built in are builtin:cloud, builtin:cubus and
+    /// NumPy, HDF5, NetCDF, Imaris or PNG. An array's path may follow that of an HDF5 file. OME-Zarr may be at http://, https:// or s3://. A raw file needs --dims and --dtype. Built in are builtin:cloud, builtin:cubus and
     /// builtin:shells, with @N for N voxels a side
     #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>, value_parser = any_text())]
     pub(crate) volume: Option<String>,
