@@ -89,7 +89,7 @@ fn set_values(plan: &mut Plan, array: &Listed) {
         }
     };
     let values = none.into_iter().flatten().take(MAX_MISSING).map(value).collect();
-    plan.missing = Missing { values, valid, what: "missing, as the file says" };
+    plan.missing = Missing { values, valid, what: "missing, as the file says", ..Missing::default() };
 }
 
 /// What each axis is, the slowest first, and whether the order alone tells it. An axis without meaning has one entry.
