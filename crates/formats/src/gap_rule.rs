@@ -78,7 +78,7 @@ mod tests {
 
     #[test]
     fn gaps_are_marked_and_filled_from_beside() {
-        let missing = MissingNumbers { numbers: vec![7.0], valid: None };
+        let missing = MissingNumbers { numbers: vec![7.0], ..MissingNumbers::default() };
         let rule = GapRule { has_gaps: true, mark: Some(-9999.0), missing, is_empty: false };
         let numbers = vec![f32::NAN, 1.0, 3.0, -9999.0, 7.0, f32::INFINITY];
         let mut voxels = Voxels::F32(numbers.clone());
@@ -88,7 +88,8 @@ mod tests {
         let mut bytes = Voxels::U8(vec![7, 8, 9]);
         assert_eq!(rule.apply(&mut bytes, [3, 1, 1], 0.0), Ok(Some(vec![1, 0, 0])));
         // Several numbers, and ends of those that are values.
-        let missing = MissingNumbers { numbers: vec![7.0, 9.0], valid: Some((2.0, 20.0)) };
+        let missing =
+            MissingNumbers { numbers: vec![7.0, 9.0], ranges: Vec::new(), valid: Some((2.0, 20.0)) };
         let rule = GapRule { missing, ..GapRule::default() };
         let mut words = Voxels::U16(vec![7, 1, 2, 9, 20, 21]);
         assert!(rule.may_find(&words));

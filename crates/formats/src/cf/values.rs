@@ -68,7 +68,12 @@ impl NumberMeaning {
     pub(crate) fn set(self, plan: &mut Plan) {
         plan.value_map = self.map;
         plan.value_unit = self.unit;
-        plan.missing = Missing { values: self.missing, valid: self.valid, what: "missing, as the file says" };
+        plan.missing = Missing {
+            values: self.missing,
+            valid: self.valid,
+            what: "missing, as the file says",
+            ..Missing::default()
+        };
     }
 }
 

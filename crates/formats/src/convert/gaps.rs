@@ -143,16 +143,37 @@ impl Tally {
     }
 }
 
-/// The numbers that mark voxels without a value, as the file tells them.
+/// The numbers that mark voxels without a value, as the file tells them. Attributes have a list and one range of what is
+/// valid. So a short range of whole numbers that are none is listed, and a long one bounds what is valid: from below if
+/// it begins at or below zero, or else from above.
 pub(super) fn told_gaps(plan: &Plan) -> GapNumbers {
     let told = plan.missing.values.iter().map(|value| number_of(plan, *value));
     let mut numbers: Vec<f64> = told.filter(|x| x.is_finite()).collect();
     numbers.dedup();
-    let valid = plan.missing.valid.map(|(lo, hi)| {
+    let both = |&(lo, hi): &(f64, f64)| {
         let (a, b) = (number_of(plan, lo), number_of(plan, hi));
         // JSON has no infinite numbers.
         (a.min(b).max(f64::MIN), a.max(b).min(f64::MAX))
-    });
+    };
+    // The number after another one, or before it.
+    let next = |x: f64, step: f64| match plan.dtype.integer_range() {
+        Some(_) => x + step,
+        None if step > 0.0 => x.next_up(),
+        None => x.next_down(),
+    };
+    let mut valid = plan.missing.valid.as_ref().map(both);
+    for (lo, hi) in plan.missing.ranges.iter().map(both) {
+        if plan.dtype.integer_range().is_some() && hi - lo < MOST_LISTED {
+            numbers.extend((0..=(hi - lo) as u32).map(|i| lo + f64::from(i)));
+            continue;
+        }
+        let (least, greatest) = valid.unwrap_or((f64::MIN, f64::MAX));
+        valid = Some(if lo <= 0.0 {
+            (least.max(next(hi, 1.0)), greatest)
+        } else {
+            (least, greatest.min(next(lo, -1.0)))
+        });
+    }
     GapNumbers { numbers, valid }
 }
 
@@ -194,6 +215,8 @@ impl From<Tally> for StoredTally {
     }
 }
 
+/// Most numbers of a range that are listed.
+const MOST_LISTED: f64 = 32.0;
 /// No padding of CT, and nothing near it, has a greater value.
 const HIGHEST_OF_CT: f32 = -1020.0;
 

@@ -148,13 +148,15 @@ impl FlatBoxes {
     }
 }
 
+/// Fills `bytes` from `offset` on. Several threads may do so at once.
 #[cfg(unix)]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
 }
 
 #[cfg(not(unix))]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+/// Fills `bytes` from `offset` on. Several threads may do so at once.
+pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     use std::io::{Read, Seek, SeekFrom};
     // Threads share the position of a file, so each read has a handle of its own.
     let mut own = file.try_clone()?;

@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::ArrayPyramid;
 use super::array::Array;
-use super::cache::{ChunkCache, ChunkKey};
 use super::chunks::{Chunks, ReadChunk, absent_text};
 use super::store::Store;
+use crate::chunk_cache::{ChunkCache, ChunkKey};
 use crate::chunk_grid::next_index;
 use crate::decode::VoxelSink;
 use crate::error::{FormatError, shown};
