@@ -6,9 +6,11 @@ use std::path::Path;
 use isinglass_core::volume::{Volume, Voxels};
 use rayon::prelude::*;
 
+use crate::dtype::Dtype;
 use crate::error::{FormatError, shown};
 use crate::plan::Plan;
 use crate::reading::Meaning;
+use crate::selection::Region;
 use crate::warning::{Warning, WarningKind};
 
 /// Marks the one channel that was read as labels, if it has them. Returns a word about a guess.
@@ -42,9 +44,7 @@ pub(crate) fn mark_labels(
         None => {
             let are_labels = plan.dtype.integer_range().is_some() && look_like_labels(volume);
             if are_labels {
-                let text =
-                    "few whole numbers in blocks were taken for labels; --voxels values shows them as values";
-                word = Some(Warning::new(WarningKind::Guess, text));
+                word = Some(Warning::new(WarningKind::Guess, TAKEN_FOR_LABELS));
             }
             are_labels
         }
@@ -54,6 +54,27 @@ pub(crate) fn mark_labels(
         volume.info.labels.clear();
     }
     Ok(word)
+}
+
+/// Whether the voxels of all channels are labels, as the person or the file says; `None` if their look decides.
+pub(crate) fn told_labels(plan: &Plan, wish: Option<Meaning>, num_channels: u64) -> Option<bool> {
+    match wish {
+        Some(meaning) => return Some(meaning == Meaning::Labels),
+        None if plan.are_labels || !plan.labels.is_empty() => return Some(true),
+        None => {}
+    }
+    (plan.dtype.integer_range().is_none() || num_channels > 1 || plan.num_joint > 1).then_some(false)
+}
+
+/// The middle of a volume, by whose look labels are told from values in bounded memory.
+pub(crate) fn judged_part(dims: [u64; 3], dtype: Dtype, max_bytes: u64) -> Region {
+    let bytes_each = dtype.num_bytes_in_memory() as u64 + 1;
+    let most = (max_bytes / 4 / bytes_each).min(MOST_JUDGED);
+    let side = ((most as f64).cbrt() as u64).max(1);
+    Region {
+        min: dims.map(|n| (n.saturating_sub(side) / 2) as u32),
+        max: dims.map(|n| Some((n.saturating_sub(side) / 2 + n.min(side)) as u32)),
+    }
 }
 
 /// Whether all values are whole numbers from zero that single precision holds.
@@ -203,6 +224,12 @@ const LEAST_ALIKE_IN_ALL: f64 = 0.6;
 const WHITES: [u32; 4] = [127, 255, 32_767, 65_535];
 /// So few values may all touch each other in their order.
 const FEW_VALUES: usize = 5;
+
+/// Most voxels that are looked at to tell labels from values.
+const MOST_JUDGED: u64 = 512 * 512 * 512;
+/// What is said of a guess.
+pub(crate) const TAKEN_FOR_LABELS: &str =
+    "few whole numbers in blocks were taken for labels; --voxels values shows them as values";
 
 #[cfg(test)]
 mod tests {

@@ -203,6 +203,7 @@ fn unpack(
             path: shown(path),
             needed: options.max_bytes.saturating_add(1),
             limit: options.max_bytes,
+            advice: "",
         })?;
         file.write_all(&chunk).map_err(io)?;
     }

@@ -517,6 +517,12 @@ pub(crate) trait BoxReader: Send + Sync {
     /// The numbers that are selected along each axis of the plan, the fastest first.
     fn read(&self, selected: &[Steps]) -> Result<VoxelSink, FormatError>;
 
+    /// The same in the type of the file, little-endian. A reader that does not have its bytes gives wide numbers as exact
+    /// as single precision is.
+    fn read_numbers(&self, selected: &[Steps]) -> Result<Vec<u8>, FormatError> {
+        self.read(selected).map(VoxelSink::into_numbers)
+    }
+
     /// Parts of the file that are not there and have their fill value, as far as they were met.
     fn num_absent(&self) -> u64 {
         0

@@ -83,7 +83,12 @@ impl OpenOptions<'_> {
     /// Refuses to use more than the allowed bytes of memory.
     pub(crate) fn check_memory(&self, path: &Path, needed: u64) -> Result<(), FormatError> {
         if needed > self.max_bytes {
-            return Err(FormatError::TooLarge { path: shown(path), needed, limit: self.max_bytes });
+            return Err(FormatError::TooLarge {
+                path: shown(path),
+                needed,
+                limit: self.max_bytes,
+                advice: "",
+            });
         }
         Ok(())
     }
@@ -109,6 +114,10 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
     if outline_by_pages(source, options)?.is_some() {
         return Ok(open_paged(source, &for_pages(options))?.into_volume(options.max_bytes));
     }
+    open_whole(source, options).map_err(|e| if may_page(options) { e.with_advice() } else { e })
+}
+
+fn open_whole(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
     let volume = match source.strip_prefix("builtin:") {
         Some(name) => open_builtin(name, options)?,
         None => {
@@ -151,7 +160,8 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
     if let Some(found) = outline_by_pages(source, options)? {
         return Ok(found);
     }
-    let mut found = outline_of(source, &options.beside())?;
+    let found = outline_of(source, &options.beside());
+    let mut found = found.map_err(|e| if may_page(options) { e.with_advice() } else { e })?;
     if let Some(labels) = &options.reading.labels {
         let num_voxels = found.dims.iter().map(|&n| u64::from(n)).product();
         let [when_read, while_reading] = bytes_of_labels(labels, num_voxels, options)?;
@@ -162,12 +172,17 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
     Ok(found)
 }
 
-/// The finest level, if it is wanted, does not fit, and can be read by pages.
-fn outline_by_pages(source: &str, options: &OpenOptions) -> Result<Option<Outline>, FormatError> {
+/// Whether a volume may be read by pages, if its file can.
+fn may_page(options: &OpenOptions) -> bool {
     let asks_for_finest =
         options.selection.level.is_none_or(|level| level == 0) && options.reading.thin.is_none();
-    let may_be = options.by_pages && options.max_bytes >= LEAST_FOR_PAGES;
-    if !may_be || !asks_for_finest || options.reading.labels.is_some() {
+    let is_allowed = options.by_pages && options.max_bytes >= LEAST_FOR_PAGES;
+    is_allowed && asks_for_finest && options.reading.labels.is_none()
+}
+
+/// The finest level, if it is wanted, does not fit, and can be read by pages.
+fn outline_by_pages(source: &str, options: &OpenOptions) -> Result<Option<Outline>, FormatError> {
+    if !may_page(options) {
         return Ok(None);
     }
     let fits = |outline: &Outline| {

@@ -10,6 +10,7 @@ mod commands;
 mod config;
 mod detach;
 mod distributed;
+mod environment;
 mod given;
 mod identity_file;
 mod lens_args;
@@ -43,6 +44,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
+    environment::silence_wayland();
     let arguments: Vec<OsString> = std::env::args_os().collect();
     let command = command();
     let settings = match Settings::read(&command, &arguments) {

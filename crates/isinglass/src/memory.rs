@@ -3,6 +3,7 @@
 use clap::Args;
 use isinglass_client::format_bytes;
 use isinglass_core::volume::Volume;
+use isinglass_formats::LEAST_FOR_PAGES;
 
 /// The limit, and its default.
 #[derive(Args, Clone, Debug, Default)]
@@ -41,12 +42,18 @@ pub(crate) fn check(name: &str, needed: u64, held: u64, limit: u64) -> Result<()
     if needed.saturating_add(held) <= limit {
         return Ok(());
     }
+    // With so much room, what can be read by pages was not refused.
+    let has_room = limit.saturating_sub(held) >= LEAST_FOR_PAGES;
+    let advice =
+        if has_room { "; `isinglass convert` makes an OME-Zarr image that is read by pages" } else { "" };
     let (needed, limit) = (format_bytes(needed), format_bytes(limit));
     let beside = match held {
         0 => String::new(),
         held => format!(" beside {} of what is shown", format_bytes(held)),
     };
-    Err(format!("{name}: needs {needed} of memory{beside}, expected at most {limit} in all (--max-memory)"))
+    Err(format!(
+        "{name}: needs {needed} of memory{beside}, expected at most {limit} in all (--max-memory){advice}"
+    ))
 }
 
 /// `12GB`, `1.5GiB`, `500MB`, or a number of bytes.
@@ -124,6 +131,9 @@ mod tests {
         for word in ["a.nii, time 3", "3.2 GB", "3.0 GB of what is shown", "at most 4.0 GB", "--max-memory"] {
             assert!(line.contains(word), "{line}");
         }
+        assert!(line.contains("`isinglass convert`"), "{line}");
+        let without = check("a", 60 << 20, 50 << 20, 100 << 20).unwrap_err();
+        assert!(!without.contains("convert"), "there is no room for pages: {without}");
         assert!(!check("a", u64::MAX, 0, 1).unwrap_err().contains("beside"));
         assert!(check("a", u64::MAX, u64::MAX, u64::MAX - 1).is_err());
     }

@@ -12,6 +12,7 @@ use crate::decode::VoxelSink;
 use crate::error::{FormatError, io_error};
 use crate::gap_rule::GapRule;
 use crate::hyperslab::Steps;
+use crate::labels::{TAKEN_FOR_LABELS, told_labels};
 use crate::plan::{Chosen, Plan};
 use crate::read_volume::{UNKNOWN_NUMBERS, channel_volumes, joint};
 use crate::source::OpenOptions;
@@ -63,7 +64,14 @@ impl Base {
         };
         let words = finest.chosen.warnings.iter().map(|w| w.text.clone());
         let words = words.chain(levels.iter().find_map(|level| level.reader.cost()));
-        let words = words.chain(finest.reader.absence()).collect();
+        let mut words: Vec<String> = words.chain(finest.reader.absence()).collect();
+        // The index knows that they look like labels, and the file does not.
+        if level.is_kept
+            && level.plan.are_labels
+            && told_labels(&finest.plan, options.reading.voxels, 1).is_none()
+        {
+            words.push(TAKEN_FOR_LABELS.to_owned());
+        }
         let (spacing, first) = (finest.chosen.grid.spacing, Vec3::from_array(level.shape.first));
         Ok(Self {
             volumes,

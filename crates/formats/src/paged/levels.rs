@@ -21,6 +21,8 @@ pub(super) struct PageLevel {
     pub(super) chosen: Arc<Chosen>,
     pub(super) reader: Arc<dyn BoxReader>,
     pub(super) shape: PyramidLevel,
+    /// Whether it is no level of the file, but one that its index keeps.
+    pub(super) is_kept: bool,
 }
 
 impl PageLevel {
@@ -65,7 +67,13 @@ pub(super) fn page_levels(
     }
     let finest = Arc::new(chosen);
     let shape = PyramidLevel { dims, factor: [1; 3], first: [0.0; 3] };
-    found.push(PageLevel { plan: Arc::new(plan), chosen: finest, reader: reader.into(), shape });
+    found.push(PageLevel {
+        plan: Arc::new(plan),
+        chosen: finest,
+        reader: reader.into(),
+        shape,
+        is_kept: false,
+    });
     for BoxLevel { plan, reader } in levels {
         if let Some(level) = coarser(plan, reader, &found[0], path, options)?
             && found.last().is_none_or(|last| level.num_voxels() < last.num_voxels())
@@ -130,7 +138,13 @@ fn coarser(
     }
     let chosen = choose(&plan, path, options, Some(region))?;
     let shape = PyramidLevel { dims: chosen.grid.dims(), factor, first };
-    Ok(Some(PageLevel { plan: Arc::new(plan), chosen: Arc::new(chosen), reader: reader.into(), shape }))
+    Ok(Some(PageLevel {
+        plan: Arc::new(plan),
+        chosen: Arc::new(chosen),
+        reader: reader.into(),
+        shape,
+        is_kept: false,
+    }))
 }
 
 /// The first selected voxel of the finest level along an axis of the volume.

@@ -10,7 +10,7 @@ use isinglass_bench::progress::Progress;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
     Dtype, Endian, Flip, Meaning, OpenOptions, Outline, PageCount, PagedFile, RawShape, Reading, Region,
-    Selection, VolumeSource, open, open_paged, outline, page_count,
+    Selection, VolumeFacts, VolumeSource, facts_at_once, open, open_paged, outline, page_count,
 };
 use isinglass_formats::{OpenedScene, open_scene};
 
@@ -131,6 +131,11 @@ impl VolumeArgs {
         with_percent("reading the coarsest level", |progress| {
             Ok(open_paged(source, &OpenOptions { progress: Some(progress), ..options })?)
         })
+    }
+
+    /// What is known of a large file at once; `None` if it is small enough to be read.
+    pub(crate) fn facts_at_once(&self) -> Result<Option<VolumeFacts>> {
+        Ok(facts_at_once(self.source()?, &self.options(&self.part.reading()))?)
     }
 
     /// The pages that it can be read by, if it can.
