@@ -101,7 +101,7 @@ fn samples() -> Vec<Sample> {
     let float = "type: float\ndimension: 3\nsizes: 260 41 35";
     let turned = "type: ushort\ndimension: 3\nsizes: 41 35 260\nspace: left-posterior-superior\n\
                   space directions: (0,2,0) (0,0,-2) (2,0,0)";
-    let block = |[x, y, z]: [u32; 3]| match (x / 40 + y / 16 + z / 12) % 4 {
+    let block = |[x, y, z]: [u32; 3]| match (x / 41 + y / 17 + z / 13) % 4 {
         0 => 0,
         i => (i * 7) as u8,
     };

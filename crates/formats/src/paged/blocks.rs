@@ -33,7 +33,7 @@ pub(super) fn axis_parts(
         let has = |page: &u32| first(*page) <= ends[0] && ends[0] < first(*page) + PAGE_POINTS;
         let mut pages = near.clone().filter(has);
         let from = pages.next().unwrap_or(near.end);
-        AxisPart { voxels: ends[0]..ends[1], pages: from..pages.last().unwrap_or(from) + 1 }
+        AxisPart { voxels: ends[0]..ends[1], pages: from..pages.next_back().unwrap_or(from) + 1 }
     };
     cuts.windows(2).map(part).collect()
 }
