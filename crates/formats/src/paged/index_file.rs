@@ -9,9 +9,9 @@ use std::time::UNIX_EPOCH;
 use isinglass_core::volume::Histogram;
 
 use super::index::{ChannelIndex, PageIndex};
-use crate::error::{FormatError, io_error};
+use crate::error::FormatError;
 use crate::levels::KnownNumbers;
-use crate::output::write_whole;
+use crate::output::write_private;
 use crate::plan::VolumeFile;
 use crate::selection::{Region, Selection};
 use crate::source::{OpenOptions, read_file};
@@ -59,10 +59,7 @@ impl IndexPlace {
     /// # Errors
     /// If the system refuses.
     pub(crate) fn write(&self, index: &PageIndex) -> Result<PathBuf, FormatError> {
-        if let Some(folder) = self.path.parent() {
-            fs::create_dir_all(folder).map_err(io_error(folder))?;
-        }
-        write_whole(&self.path, &bytes_of_index(index, &self.key))?;
+        write_private(&self.path, &bytes_of_index(index, &self.key))?;
         Ok(self.path.clone())
     }
 }

@@ -1,6 +1,5 @@
 //! Where the files of an image are.
 
-use std::fs::File;
 use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -8,7 +7,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{FormatError, io_error, shown};
 use crate::foreign::HomeFolder;
-use crate::source::OpenOptions;
+use crate::source::{OpenOptions, open_file};
 use crate::web::WebFolder;
 
 /// The files of an image.
@@ -74,16 +73,16 @@ impl Store {
         home.check(path)?;
         let io = io_error(path);
         let bad = |problem: String| FormatError::Data { path: shown(path), problem };
-        let mut file = match File::open(path) {
+        let mut file = match open_file(path) {
             Ok(file) => file,
-            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
-            Err(e) => return Err(io(e)),
+            Err(FormatError::Io { cause, .. })
+                if matches!(cause.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
+            {
+                return Ok(None);
+            }
+            Err(e) => return Err(e),
         };
-        let metadata = file.metadata().map_err(io)?;
-        if !metadata.is_file() {
-            return Err(bad("a folder or device, expected a file".into()));
-        }
-        let length = metadata.len();
+        let length = file.metadata().map_err(io)?.len();
         let (at, size) = match part {
             Part::Whole => (0, length),
             Part::At(at, size) => (at, size),
