@@ -65,6 +65,7 @@ mod reading;
 mod recent;
 mod remembered;
 mod scene;
+mod scratch;
 mod selection;
 mod settings;
 mod sniff;
@@ -83,6 +84,7 @@ mod vti;
 mod vtk;
 mod warning;
 mod web;
+mod web_reach;
 mod xml;
 mod zarr;
 mod zip;
@@ -96,7 +98,10 @@ pub use facts::{PERCENTILES, ValuesOf, VolumeFacts};
 pub use facts_of_file::facts_at_once;
 pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline, PageCount};
-pub use output::{check_writable, remove_leftovers, write_new, write_whole};
+pub use output::{
+    check_writable, make_private_folder, remove_leftovers, write_new, write_new_private, write_private,
+    write_whole,
+};
 pub use paged::{BuiltIndex, PageIndex, PageIndexBuilder, PagedFile, open_paged, page_count};
 pub use presets::{default_preset, default_transfer, fitting_presets, preset, preset_names};
 pub use raw::RawShape;
@@ -104,10 +109,12 @@ pub use reading::{Meaning, Reading};
 pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use remembered::Remembered;
 pub use scene::{OpenedScene, open_scene, scene_of};
+pub use scratch::{before_scratch, remove_scratch};
 pub use selection::{Flip, Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{
-    ChannelNumbers, LEAST_FOR_PAGES, OpenOptions, finest_numbers, open, outline, source_exists,
+    ChannelNumbers, LEAST_FOR_PAGES, OpenOptions, finest_numbers, open, open_file, outline, read_text,
+    source_exists,
 };
 pub use state::{
     MAX_LINK_BYTES, MAX_MEASURE_POINTS, MAX_MEASURES, MAX_STATE_BYTES, MAX_VIEWS, MeasureKind, NamedView,

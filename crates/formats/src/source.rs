@@ -1,6 +1,6 @@
 //! Opens a volume from a file, a folder or the name of a built-in volume.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -424,7 +424,7 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile>
 /// The first bytes of a file; `None` if it cannot be read.
 pub(crate) fn read_start(file: &Path) -> Option<Vec<u8>> {
     let mut start = Vec::new();
-    File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start)).ok()?;
+    open_file(file).ok()?.take(sniff::SNIFFED_BYTES).read_to_end(&mut start).ok()?;
     Some(start)
 }
 
@@ -466,14 +466,50 @@ fn list_files(
     Ok(())
 }
 
-/// Opens a regular file. Pipes and devices are refused, because they have no length and may never end.
-pub(crate) fn open_file(path: &Path) -> Result<File, FormatError> {
-    let metadata = std::fs::metadata(path).map_err(io_error(path))?;
-    if !metadata.is_file() {
-        let found = if metadata.is_dir() { "a folder" } else { "a pipe or device" };
-        return Err(FormatError::Unsupported { path: shown(path), found, expected: "a regular file" });
+/// Opens a regular file. Pipes, sockets and devices are refused, because they have no length and may never end. This
+/// never waits for another program, even if the file becomes a pipe meanwhile.
+///
+/// # Errors
+/// It is no regular file, or the system refuses.
+pub fn open_file(path: &Path) -> Result<File, FormatError> {
+    let io = io_error(path);
+    // To open a device may already do something, and a pipe waits for its writer.
+    check_is_file(path, &std::fs::metadata(path).map_err(io)?)?;
+    let mut options = File::options();
+    options.read(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(
+        &mut options,
+        rustix::fs::OFlags::NONBLOCK.bits().cast_signed(),
+    );
+    let file = options.open(path).map_err(io)?;
+    check_is_file(path, &file.metadata().map_err(io)?)?;
+    Ok(file)
+}
+
+fn check_is_file(path: &Path, metadata: &Metadata) -> Result<(), FormatError> {
+    let refusal = |found| FormatError::Unsupported { path: shown(path), found, expected: "a regular file" };
+    kind_but_file(metadata).map_or(Ok(()), |found| Err(refusal(found)))
+}
+
+/// What it is, if it is no regular file.
+pub(crate) fn kind_but_file(metadata: &Metadata) -> Option<&'static str> {
+    let kind = metadata.file_type();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if kind.is_fifo() {
+            return Some("a pipe");
+        }
+        if kind.is_socket() {
+            return Some("a socket");
+        }
     }
-    File::open(path).map_err(io_error(path))
+    match () {
+        () if kind.is_file() => None,
+        () if kind.is_dir() => Some("a folder"),
+        () => Some("a device"),
+    }
 }
 
 /// The bytes of the regular file at `path`; `None` if there are more than `max_bytes`.
@@ -481,6 +517,17 @@ pub(crate) fn read_file(path: &Path, max_bytes: u64) -> Result<Option<Vec<u8>>, 
     let mut bytes = Vec::new();
     open_file(path)?.take(max_bytes + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
     Ok((bytes.len() as u64 <= max_bytes).then_some(bytes))
+}
+
+/// The text in the regular file at `path`, of at most `max_bytes`.
+///
+/// # Errors
+/// It is no regular file, longer or not UTF-8, or the system refuses.
+pub fn read_text(path: &Path, max_bytes: u64) -> Result<String, FormatError> {
+    let unsupported =
+        |found| FormatError::Unsupported { path: shown(path), found, expected: "a short text in UTF-8" };
+    let bytes = read_file(path, max_bytes)?.ok_or_else(|| unsupported("a longer file"))?;
+    String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))
 }
 
 /// The last part of a path, for display.

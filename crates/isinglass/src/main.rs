@@ -10,6 +10,7 @@ mod commands;
 mod config;
 mod detach;
 mod distributed;
+mod ending;
 mod environment;
 mod given;
 mod identity_file;
@@ -63,7 +64,11 @@ fn main() -> ExitCode {
         Ok((matches, None)) => config::print(&matches, &settings),
         Ok((matches, Some(cli))) => {
             report::start_log(cli.command.log_level());
-            cli.command.run(Given::of(&matches, settings.bindings))
+            ending::prepare();
+            let done = memory::check_room();
+            let done = done.and_then(|()| cli.command.run(Given::of(&matches, settings.bindings)));
+            ending::clean_up();
+            done
         }
         Err(e) => return report::usage(&e),
     };

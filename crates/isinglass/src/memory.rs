@@ -1,5 +1,6 @@
 //! The memory limit for volumes.
 
+use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_client::format_bytes;
 use isinglass_core::volume::Volume;
@@ -24,6 +25,26 @@ impl MemoryArgs {
     pub(crate) fn frame_bytes(&self, volume: &Volume) -> u64 {
         of_frames(self.bytes(), of_volume(volume))
     }
+}
+
+/// Whether the system gives this process the memory that every command takes. Later, where an allocation fails, the process
+/// ends without a word.
+///
+/// # Errors
+/// One line with what to change.
+pub(crate) fn check_room() -> Result<()> {
+    // The pages are never touched, so this costs nothing.
+    let mut room = Vec::<u8>::new();
+    let is_there = room.try_reserve_exact(LEAST_ROOM).is_ok();
+    // Otherwise the compiler leaves the reservation out.
+    std::hint::black_box(&mut room);
+    if !is_there {
+        bail!(
+            "the system gives this process less than {} of memory; allow more with `ulimit -v`, or end other programs",
+            format_bytes(LEAST_ROOM as u64)
+        );
+    }
+    Ok(())
 }
 
 /// Memory of a volume, its pages included, bytes.
@@ -98,6 +119,8 @@ fn total_of(meminfo: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
+/// What every command can take at its start: threads with their stacks, and the first buffers.
+const LEAST_ROOM: usize = 512 << 20;
 /// Bounds of the memory for frames.
 const LEAST_FOR_FRAMES: u64 = 256 << 20;
 const MOST_FOR_FRAMES: u64 = 4 << 30;

@@ -11,9 +11,9 @@ use isinglass_core::volume::Histogram;
 use super::index::{ChannelIndex, PageIndex};
 use super::means::{MeanLevels, MeanPlan};
 use super::means_file::{MeansFile, write_means};
-use crate::error::{FormatError, io_error};
+use crate::error::FormatError;
 use crate::levels::KnownNumbers;
-use crate::output::{folder_of, write_whole};
+use crate::output::{folder_of, write_private};
 use crate::plan::VolumeFile;
 use crate::selection::{Region, Selection};
 use crate::source::{OpenOptions, read_file};
@@ -61,10 +61,7 @@ impl IndexPlace {
     /// # Errors
     /// If the system refuses.
     pub(crate) fn write(&self, index: &PageIndex) -> Result<PathBuf, FormatError> {
-        if let Some(folder) = self.path.parent() {
-            fs::create_dir_all(folder).map_err(io_error(folder))?;
-        }
-        write_whole(&self.path, &bytes_of_index(index, &self.key))?;
+        write_private(&self.path, &bytes_of_index(index, &self.key))?;
         Ok(self.path.clone())
     }
 

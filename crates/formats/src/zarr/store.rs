@@ -1,6 +1,6 @@
 //! Where the files of an image are.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{FormatError, io_error, shown};
 use crate::foreign::HomeFolder;
-use crate::source::OpenOptions;
+use crate::source::{OpenOptions, open_file};
 use crate::web::WebFolder;
 
 /// The files of an image.
@@ -107,16 +107,16 @@ impl Store {
         home.check(path)?;
         let io = io_error(path);
         let bad = |problem: String| FormatError::Data { path: shown(path), problem };
-        let mut file = match File::open(path) {
+        let mut file = match open_file(path) {
             Ok(file) => file,
-            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
-            Err(e) => return Err(io(e)),
+            Err(FormatError::Io { cause, .. })
+                if matches!(cause.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
+            {
+                return Ok(None);
+            }
+            Err(e) => return Err(e),
         };
-        let metadata = file.metadata().map_err(io)?;
-        if !metadata.is_file() {
-            return Err(bad("a folder or device, expected a file".into()));
-        }
-        let length = metadata.len();
+        let length = file.metadata().map_err(io)?.len();
         let (at, size) = match part {
             Part::Whole => (0, length),
             Part::At(at, size) => (at, size),

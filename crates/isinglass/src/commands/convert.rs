@@ -150,6 +150,7 @@ impl Bar {
 
 /// A flag that Ctrl-C sets.
 fn cancel_on_interrupt() -> Result<Arc<AtomicBool>> {
+    crate::ending::leave_to_command(false);
     let cancel = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&cancel);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();

@@ -1,14 +1,13 @@
 //! `info`: the contents of a volume or a stored layered frame.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use anyhow::Result;
 use clap::Args;
 use isinglass_core::volume::Histogram;
-use isinglass_formats::VolumeFacts;
 use isinglass_formats::iglf::{self, Origin, StoredFrame};
+use isinglass_formats::{VolumeFacts, open_file};
 use serde_json::json;
 
 use crate::args::VolumeArgs;
@@ -52,7 +51,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
 
 fn is_stored_frame(path: &Path) -> bool {
     let mut start = [0; 4];
-    path.is_file() && File::open(path).and_then(|mut f| f.read_exact(&mut start)).is_ok() && start == *b"IGLF"
+    open_file(path).is_ok_and(|mut f| f.read_exact(&mut start).is_ok()) && start == *b"IGLF"
 }
 
 fn frame(path: &Path, is_json: bool) -> Result<()> {
