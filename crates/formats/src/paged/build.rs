@@ -20,6 +20,7 @@ use crate::decode::VoxelSink;
 use crate::dtype::Endian;
 use crate::error::{FormatError, io_error, shown};
 use crate::labels::{judged_part, mark_labels, told_labels};
+use crate::output::make_private_folder;
 use crate::read_volume::MOST_READ_FOR_NUMBERS;
 use crate::reading::Meaning;
 use crate::source::OpenOptions;
@@ -137,7 +138,7 @@ impl<'a> Pass<'a> {
         let num_channels = pyramid.value_maps.len();
         let (mut means, mut problem) = (None, None);
         if let (Some(plan), Some(place)) = (&self.plan, self.request.place) {
-            match std::fs::create_dir_all(place.folder())
+            match make_private_folder(place.folder())
                 .and_then(|()| MeanLevels::new(plan, num_channels, place.folder()))
             {
                 Ok(made) => means = Some(made),

@@ -17,7 +17,7 @@ use crate::decode::VoxelSink;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, shown};
 use crate::hyperslab::Steps;
-use crate::output::file_beside;
+use crate::output::{Readers, file_beside};
 use crate::padding::{GapNumbers, Missing};
 use crate::plan::{Axis, BoxReader, Chosen, Plan, Role};
 use crate::source::open_file;
@@ -28,7 +28,7 @@ use crate::source::open_file;
 /// If the system refuses.
 pub(super) fn write_means(path: &Path, key: &str, means: &MeanLevels) -> Result<(), FormatError> {
     let io = io_error(path);
-    let Some(mut file) = file_beside(path).map_err(&io)? else {
+    let Some(mut file) = file_beside(path, Readers::Owner).map_err(&io)? else {
         return Err(io(std::io::ErrorKind::AlreadyExists.into()));
     };
     let num_chunks =

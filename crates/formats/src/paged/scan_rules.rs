@@ -47,7 +47,11 @@ impl ScanRules {
         let gap_rule = |(base, rule): (&GapRule, &Rule)| match rule {
             Rule::Mean(gaps) if !is_told => {
                 let numbers = gaps.numbers.iter().map(|x| *x as f32 - offset).collect();
-                GapRule { mark: None, missing: MissingNumbers { numbers, valid: None }, ..base.clone() }
+                GapRule {
+                    mark: None,
+                    missing: MissingNumbers { numbers, ..MissingNumbers::default() },
+                    ..base.clone()
+                }
             }
             _ => base.clone(),
         };
