@@ -79,7 +79,7 @@ impl<'a> Variables<'a> {
             Some(dim) => self.axis(dim, &named, numbers, all),
             None => Coordinates::default(),
         };
-        let mut axes = variable.dims.iter().map(axis).collect();
+        let mut axes: Vec<Coordinates> = variable.dims.iter().map(axis).collect();
         self.set_planes(variable, &mut axes, numbers);
         axes
     }
@@ -125,7 +125,7 @@ impl<'a> Variables<'a> {
     }
 
     /// Takes longitudes and latitudes that have two dimensions: the row and the column in the middle tell the axes.
-    fn set_planes(&self, variable: &Variable, axes: &mut Vec<Coordinates>, numbers: Option<ReadNumbers>) {
+    fn set_planes(&self, variable: &Variable, axes: &mut [Coordinates], numbers: Option<ReadNumbers>) {
         for &plane in &self.planes {
             let found = &self.list[plane];
             let place = |dim: &Option<String>| variable.dims.iter().position(|own| own == dim);

@@ -123,8 +123,8 @@ fn taken<'a>(
     lengths: impl Iterator<Item = &'a u64>,
     mut scales: impl Iterator<Item = &'a &'a &'a DimensionScale<'a>>,
 ) -> Vec<Option<String>> {
-    let mut next = |length: &u64| scales.find(|s| s.array.shape[0] == *length).map(|s| s.array.path.clone());
-    lengths.map(|length| next(length)).collect()
+    let next = |length: &u64| scales.find(|s| s.array.shape[0] == *length).map(|s| s.array.path.clone());
+    lengths.map(next).collect()
 }
 
 /// The axes of `array`, the slowest first. Coordinates are read only from `contents`.

@@ -82,7 +82,7 @@ impl ClassicHeader {
             Ok(Dimension { name, length, is_record: length == 0 })
         })?;
         let attributes = parser.attributes()?;
-        let mut variables = parser.list(VARIABLE, |parser| parser.variable(dims.len()))?;
+        let variables = parser.list(VARIABLE, |parser| parser.variable(dims.len()))?;
         let is_record =
             |variable: &ClassicVariable| variable.dims.first().is_some_and(|i| dims[*i].is_record);
         let in_records: Vec<&ClassicVariable> =
@@ -106,7 +106,7 @@ impl ClassicHeader {
             false => num_records,
         };
         dims.iter_mut().filter(|dim| dim.is_record).for_each(|dim| dim.length = num_records);
-        let variables = variables.drain(..).map(|(variable, _)| variable).collect();
+        let variables = variables.into_iter().map(|(variable, _)| variable).collect();
         Ok(Self { version, dims, attributes, variables, record_bytes })
     }
 }

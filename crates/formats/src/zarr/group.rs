@@ -173,8 +173,10 @@ impl ArrayGroup {
     fn nothing_to_show(&self) -> String {
         let listed: Vec<String> = self.arrays.iter().take(MAX_NAMED).map(GroupArray::description).collect();
         let listed = if listed.is_empty() { "no other".to_owned() } else { listed.join(", ") };
-        let unread =
-            self.unread.as_ref().map_or_else(String::new, |unread| format!("; it cannot read {unread}"));
+        let unread = self
+            .unread
+            .as_ref()
+            .map_or_else(String::new, |unread| format!("; it has an array that cannot be read, {unread}"));
         format!("it has no image, and no array with two or three axes in space; it has {listed}{unread}")
     }
 }
