@@ -242,7 +242,7 @@ fn a_channel_without_any_value_has_empty_pages_and_hides_no_other() {
     let paged = check_pages(folder.path(), &OpenOptions::default());
     let are_hidden: Vec<bool> = paged.base.channels().map(|channel| channel.info.channel.is_hidden).collect();
     assert_eq!(are_hidden, [false, true]);
-    let index = paged.build_index(None, None).unwrap();
+    let index = paged.build_index(None, None).unwrap().index;
     assert_eq!((index.stored_range(0), index.stored_range(1)), ((0.0, 250.0), (0.0, 0.0)));
     // The control: a channel that has some values has gaps.
     write(&|at| at[0] == 1 && at[3] > 20);

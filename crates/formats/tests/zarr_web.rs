@@ -223,10 +223,10 @@ fn facts_of_an_address_ask_for_the_coarsest_level_only() {
         names.iter().filter(is_chunk).count()
     };
     let asked = server.requests();
-    assert_eq!((chunks("/0/", &asked), chunks("/1/", &asked)), (0, 1), "{asked:?}");
+    assert_eq!((chunks("zarr/0/", &asked), chunks("zarr/1/", &asked)), (0, 1), "{asked:?}");
     // The control: all voxels take all chunks.
     opened(&source, Selection::default()).unwrap();
-    assert_eq!(chunks("/0/", &server.requests()), 8);
+    assert_eq!(chunks("zarr/0/", &server.requests()), 8);
 }
 
 #[test]
