@@ -30,7 +30,7 @@ const SIDE: u32 = 200;
 const SIZE: Intrinsics = Intrinsics::perspective(64, 48, 0.6);
 /// Memory for all pages, and for some of them.
 const MUCH: u64 = 1 << 30;
-const LITTLE: u64 = 110 * 2 * PAGE_VOXELS as u64;
+const LITTLE: u64 = 80 * 2 * PAGE_VOXELS as u64;
 
 /// Who measures memory is alone.
 static TURN: Mutex<()> = Mutex::new(());
@@ -193,7 +193,13 @@ impl Stage {
             let received = self.client.latest_frame()?;
             let header = received.frame.header;
             let is_final = header.fineness != Fineness::Draft && header.pose == pose;
-            (is_final && received.is_of(&self.client.talk())).then(|| received.frame.clone())
+            if !is_final || !received.is_of(&self.client.talk()) {
+                return None;
+            }
+            // Light comes after the pages.
+            std::thread::sleep(Duration::from_millis(600));
+            let is_last = self.client.latest_frame()?.frame.header.frame == header.frame;
+            is_last.then(|| received.frame.clone())
         })
     }
 
@@ -245,8 +251,8 @@ fn each_time_is_seen_as_when_it_alone_is_opened_by_pages() {
             assert!(same(&found), "time {time}: another frame");
             assert!(!same(&other), "control: another time is another frame");
             let worst = difference(at_time(time as u8), &look, &shown);
-            assert_eq!(b.fineness == Fineness::Whole, max_bytes == MUCH);
-            assert!(worst <= 1 || max_bytes == LITTLE, "time {time}: {worst}");
+            assert!(b.fineness == Fineness::Whole || max_bytes == LITTLE);
+            assert!(worst <= 1 || b.fineness != Fineness::Whole, "time {time}: {worst}");
         }
         stage.close();
     }
