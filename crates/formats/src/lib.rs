@@ -30,6 +30,7 @@ mod error;
 mod facts;
 mod facts_of_file;
 mod file_list;
+mod first_look;
 mod foreign;
 mod gap_rule;
 mod hdf5;
@@ -72,6 +73,7 @@ mod sniff;
 mod source;
 mod state;
 mod stream;
+mod surroundings;
 mod tiff;
 mod transfer;
 mod transfer_import;
@@ -96,6 +98,7 @@ pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};
 pub use facts::{PERCENTILES, ValuesOf, VolumeFacts};
 pub use facts_of_file::facts_at_once;
+pub use first_look::default_transfer;
 pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline, PageCount};
 pub use output::{
@@ -103,7 +106,7 @@ pub use output::{
     write_whole,
 };
 pub use paged::{BuiltIndex, PageIndex, PageIndexBuilder, PagedFile, open_paged, page_count};
-pub use presets::{default_preset, default_transfer, fitting_presets, preset, preset_names};
+pub use presets::{default_preset, fitting_presets, preset, preset_names};
 pub use raw::RawShape;
 pub use reading::{Meaning, Reading};
 pub use recent::{Recent, RecentEntry, RecentPlace};
