@@ -108,7 +108,7 @@ fn wrf_has_the_distances_of_its_grid() {
     let found = outline_as(&folder.path().join("wrf.nc"), Selection::default());
     let words: Vec<String> = found.warnings.iter().map(|w| w.text.clone()).collect();
     assert!(words.iter().any(|w| w.contains("an axis has no coordinates")), "{words:?}");
-    assert_eq!(found.series.len(), 2, "{:?}", found.series);
+    assert_eq!(found.series, ["/W (2×2×4×5 float)", "/v (2×3×4×5 float)"]);
     assert!(found.format.ends_with("/v"), "{}", found.format);
 }
 
@@ -130,7 +130,9 @@ fn classic_files_of_every_version_have_records() {
             check(&path, selection, 1000.0 * time as f32);
         }
         // A file that is cut is told.
-        let bytes = fs::read(&path).unwrap();
+        let mut bytes = fs::read(&path).unwrap();
+        // The library fills up the block at the end; the last number is not zero.
+        bytes.truncate(bytes.iter().rposition(|byte| *byte != 0).unwrap() + 1);
         for length in [3, 4, 40, 200, bytes.len() - 40] {
             let cut = folder.path().join("cut.nc");
             fs::write(&cut, &bytes[..length]).unwrap();

@@ -24,11 +24,7 @@ impl<'a> Scales<'a> {
             all.iter().filter(is_scale).take(MAX_SCALES).map(DimensionScale::of).collect();
         scales.sort_by_key(|scale| scale.number);
         let is_of_netcdf = scales.iter().any(|scale| scale.number.is_some());
-        // A dimension without coordinates says so in its name, and its numbers are not stored.
-        let is_empty = |a: &&Listed| {
-            a.shape.len() == 1 && a.attributes.text("NAME").is_some_and(|name| name.starts_with(NO_VARIABLE))
-        };
-        let arrays: Vec<&Listed> = all.iter().filter(|a| !is_empty(a)).collect();
+        let arrays: Vec<&Listed> = all.iter().filter(|a| !is_placeholder(a)).collect();
         let variable = |array: &&'a Listed| Variable {
             path: array.path.clone(),
             dims: dims(array, &scales),
@@ -65,6 +61,11 @@ impl<'a> DimensionScale<'a> {
     }
 }
 
+/// Whether an array stands for a dimension without coordinates. It says so in its name, and its numbers are not stored.
+fn is_placeholder(array: &Listed) -> bool {
+    array.shape.len() == 1 && array.attributes.text("NAME").is_some_and(|name| name.starts_with(NO_VARIABLE))
+}
+
 fn folder(path: &str) -> &str {
     path.rsplit_once('/').map_or("", |(folder, _)| folder)
 }
@@ -76,7 +77,9 @@ fn dims(array: &Listed, scales: &[DimensionScale]) -> Vec<Option<String>> {
     let numbers = array.attributes.numbers("_Netcdf4Coordinates");
     if numbers.len() == array.shape.len() {
         let numbered = |(number, length): (&f64, &u64)| {
-            let is_it = |s: &&DimensionScale| s.number == Some(*number as i64) && s.array.shape[0] == *length;
+            // A dimension that may grow has no numbers of its own, and the length that it had at first.
+            let fits = |s: &DimensionScale| s.array.shape[0] == *length || is_placeholder(s.array);
+            let is_it = |s: &&DimensionScale| s.number == Some(*number as i64) && fits(s);
             scales.iter().find(is_it).map(path)
         };
         return numbers.iter().zip(&array.shape).map(numbered).collect();
