@@ -142,7 +142,7 @@ fn run(orders: &Receiver<Order>, clients: &SyncSender<Client>, clock: &Clock, wa
             Order::StartServer => {
                 let part = Part { time: Some(0), ..Part::default() };
                 let film = Film { source: source.clone() };
-                let loaded = film.load(&part, &|_| (), &AtomicBool::new(false)).unwrap();
+                let loaded = film.load(&part, 0, &|_| (), &AtomicBool::new(false)).unwrap();
                 let options = ServeOptions {
                     volume: Arc::new(loaded.volume),
                     look: look(),
