@@ -72,7 +72,7 @@ fn of_start(start: &[u8], path: &Path) -> Content {
         FileKind::Vti => Content::Volume("VTI"),
         FileKind::Vtk => Content::Volume("VTK"),
         FileKind::Mgh => Content::Volume("MGH"),
-        FileKind::Hdf5 => Content::Volume("HDF5"),
+        FileKind::Hdf5 | FileKind::BigDataViewer => Content::Volume("HDF5"),
         FileKind::Png => Content::Other("a PNG picture"),
         FileKind::Other("an XML document of another kind") => Content::Text,
         FileKind::Other("no header that is known") if is_text(start) => match is_state(start) {

@@ -17,6 +17,7 @@ mod axes;
 mod builtin;
 mod channel_looks;
 mod channels;
+mod chunk_cache;
 mod chunk_grid;
 mod collector;
 mod content;

@@ -53,6 +53,9 @@ impl<'a> Scales<'a> {
 
 /// The axes of `array`, the slowest first. Coordinates are read only from `contents`.
 pub(super) fn of_array(contents: Option<&ArrayFile>, array: &Listed, scales: &Scales) -> Vec<Coordinates> {
+    if let Some(told) = &array.told {
+        return told.clone();
+    }
     let mut axes = vec![Coordinates::default(); array.shape.len()];
     set_names(&mut axes, &array.attributes);
     set_tags(&mut axes, &array.attributes);
@@ -143,8 +146,13 @@ impl Coordinates {
         let is_empty = scale.attributes.text("NAME").is_some_and(|name| name.starts_with(NO_VARIABLE));
         let Some(contents) = contents else { return };
         let storage = Storage::of(contents, scale, MAX_SCALE_BYTES);
-        let Some(numbers) = storage.and_then(|s| s.numbers()).ok().filter(|_| !is_empty) else { return };
+        let Some(numbers) = storage.and_then(|s| s.all_numbers()).ok().filter(|_| !is_empty) else { return };
         self.is_of_earth = EARTH.contains(&name.to_lowercase().as_str()) || unit.starts_with("degrees_");
+        self.set_numbers(&numbers);
+    }
+
+    /// Takes the coordinates of all numbers along the axis.
+    pub(super) fn set_numbers(&mut self, numbers: &[f64]) {
         let [first, .., last] = numbers[..] else { return };
         let step = (last - first) / (numbers.len() - 1) as f64;
         if !step.is_finite() || step == 0.0 {
@@ -156,6 +164,17 @@ impl Coordinates {
         self.is_uneven = numbers.windows(2).any(|pair| ((pair[1] - pair[0]) - step).abs() > tolerance);
     }
 
+    /// What a program tells of an axis: what it is, its first coordinate and its step, and their unit.
+    pub(super) fn told(kind: Option<AxisKind>, line: Option<(f64, f64)>, unit: Unit) -> Self {
+        let line = line.filter(|(at, step)| at.is_finite() && step.is_finite() && *step != 0.0);
+        Self { kind, line, unit, ..Self::default() }
+    }
+
+    /// The same where y and z point up, as they do in space.
+    pub(super) fn in_space(self) -> Self {
+        Self { is_of_earth: true, ..self }
+    }
+
     /// Seconds from one point in time to the next.
     pub(super) fn seconds(&self) -> Option<f64> {
         match (&self.unit, self.line) {
@@ -165,7 +184,7 @@ impl Coordinates {
     }
 }
 
-fn kind_of_name(name: &str) -> Option<AxisKind> {
+pub(super) fn kind_of_name(name: &str) -> Option<AxisKind> {
     Some(match name.to_lowercase().as_str() {
         "x" | "lon" | "longitude" | "projection_x_coordinate" | "nx" => AxisKind::Space(0),
         "y" | "lat" | "latitude" | "projection_y_coordinate" | "ny" => AxisKind::Space(1),
@@ -178,7 +197,7 @@ fn kind_of_name(name: &str) -> Option<AxisKind> {
     })
 }
 
-fn unit_of(text: &str) -> Unit {
+pub(super) fn unit_of(text: &str) -> Unit {
     let text = text.trim();
     // Times have a beginning, such as `hours since 2000-01-01`.
     let first = text.split_whitespace().next().unwrap_or_default();

@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::ArrayPyramid;
-use super::cache::{ChunkCache, ChunkKey};
 use super::chunks::{Chunks, ReadChunk};
+use crate::chunk_cache::{ChunkCache, ChunkKey};
 use crate::decode::VoxelSink;
 use crate::error::{FormatError, shown};
 use crate::hyperslab::Steps;

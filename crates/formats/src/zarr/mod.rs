@@ -3,7 +3,6 @@
 
 mod array;
 mod boxes;
-mod cache;
 mod chunks;
 mod codec;
 mod describe;

@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Values by the level and the first number of their chunk. Threads that ask for the same one wait for the first.
-pub(super) struct ChunkCache<V> {
+pub(crate) struct ChunkCache<V> {
     most_bytes: u64,
     state: Mutex<CacheState<V>>,
 }
 
 /// A level, and the first number along each axis.
-pub(super) type ChunkKey = (usize, Vec<u64>);
+pub(crate) type ChunkKey = (usize, Vec<u64>);
 
 type Slot<V> = Arc<Mutex<Option<V>>>;
 
@@ -29,13 +29,13 @@ struct CacheEntry<V> {
 
 impl<V: Clone> ChunkCache<V> {
     /// An empty cache of at most so many bytes, beside those in use.
-    pub(super) fn new(most_bytes: u64) -> Self {
+    pub(crate) fn new(most_bytes: u64) -> Self {
         let state = CacheState { entries: HashMap::new(), num_bytes: 0, clock: 0 };
         Self { most_bytes, state: Mutex::new(state) }
     }
 
     /// The value of `key`, of `num_bytes` bytes, which `read` reads if it is not here. An error is not kept.
-    pub(super) fn get<E>(
+    pub(crate) fn get<E>(
         &self,
         key: ChunkKey,
         num_bytes: u64,
