@@ -131,6 +131,9 @@ fn chunks_in_every_index_and_bit_shuffle() {
         }
     }
     assert_eq!(num, 7 + 12);
+    let holes = values(&open_as(&folder.path().join("holes.h5"), Selection::default()));
+    let expected: Vec<f32> = (0..160).map(|i| if (40..80).contains(&i) { 3.0 } else { -7.0 }).collect();
+    assert_eq!(holes, expected);
     let deep = values(&open_as(&folder.path().join("deep.h5"), Selection::default()));
     assert!(deep.iter().enumerate().all(|(i, x)| *x == i as f32));
 }

@@ -89,11 +89,39 @@ pub(super) fn chunks_in_tree(
     records.iter().map(|record| chunk(record).ok_or_else(|| EARLY.to_owned())).collect()
 }
 
+/// The bytes of a number of the array at byte `at` that is not stored, which has `size` bytes; zero if it is not told.
+pub(super) fn fill_value(objects: &ObjectReader, at: u64, size: usize) -> Vec<u8> {
+    let messages = objects.messages(at).unwrap_or_default();
+    let told = |message: &Message| {
+        let mut cursor = Cursor(&message.body);
+        match message.kind {
+            FILL => {
+                let version = cursor.number(1)?;
+                // The times at which it is written.
+                let is_told = match version {
+                    1 | 2 => cursor.take(2).and_then(|_| cursor.number(1))? == 1,
+                    _ => cursor.number(1)? & 0x20 != 0,
+                };
+                is_told.then_some(())?;
+            }
+            OLD_FILL => {}
+            _ => return None,
+        }
+        let told = cursor.number(4)?;
+        cursor.take(size).filter(|_| told == size as u64).map(<[u8]>::to_vec)
+    };
+    messages.iter().rev().find_map(told).unwrap_or_else(|| vec![0; size])
+}
+
 /// Whether chunks that reach beyond the array at byte `at` are not packed.
 pub(super) fn has_plain_edges(objects: &ObjectReader, at: u64) -> bool {
     layout_message(objects, at)
         .is_ok_and(|message| matches!(message.body[..], [4 | 5, 2, flags, ..] if flags & 1 == 1))
 }
+
+/// The messages that tell the fill value.
+const OLD_FILL: u16 = 4;
+const FILL: u16 = 5;
 
 /// The checksum of metadata: lookup3 of Bob Jenkins, which is in the public domain.
 fn lookup3(bytes: &[u8]) -> u32 {

@@ -49,7 +49,7 @@ pub(super) struct Inventory {
 }
 
 /// A group whose links are to be listed.
-struct Waiting {
+struct NextGroup {
     /// The path for messages, and one without links to other paths.
     name: String,
     place: ObjectPlace,
@@ -138,7 +138,7 @@ impl ArrayFile {
                 ObjectKind::Array => found.add_array(self, name, &place),
                 ObjectKind::Group => {
                     found.seen.insert(place.at);
-                    found.walk(self, Waiting { name, place, depth: 0 }, path, cancel)?;
+                    found.walk(self, NextGroup { name, place, depth: 0 }, path, cancel)?;
                     // Each of them may lead to a group with further ones.
                     while let Some((name, folder, target)) = found.soft.pop() {
                         found.follow(self, name, (&folder, &target), path, cancel)?;
@@ -174,7 +174,7 @@ impl Inventory {
             Ok(Place::Here(place)) if self.seen.insert(place.at) => match contents.objects.kind(place.at) {
                 Ok(ObjectKind::Array) => self.add_array(contents, name, &place),
                 Ok(ObjectKind::Group) => {
-                    self.walk(contents, Waiting { name, place, depth: 0 }, path, cancel)?;
+                    self.walk(contents, NextGroup { name, place, depth: 0 }, path, cancel)?;
                 }
                 Ok(ObjectKind::Other) | Err(_) => {}
             },
@@ -188,7 +188,7 @@ impl Inventory {
     fn walk(
         &mut self,
         contents: &ArrayFile,
-        first: Waiting,
+        first: NextGroup,
         path: &Path,
         cancel: Option<&AtomicBool>,
     ) -> Result<(), FormatError> {
@@ -201,7 +201,7 @@ impl Inventory {
             let groups = self.list(contents, &group).map_err(bad)?;
             let groups = groups.into_iter().filter(|_| group.depth < MAX_DEPTH);
             let depth = group.depth + 1;
-            waiting.extend(groups.map(|(name, place)| Waiting { name, place, depth }));
+            waiting.extend(groups.map(|(name, place)| NextGroup { name, place, depth }));
             if self.arrays.len() + self.soft.len() + self.outside.len() > MAX_ARRAYS {
                 return Err(bad(format!("it has more than {MAX_ARRAYS} arrays, expected fewer")));
             }
@@ -210,7 +210,11 @@ impl Inventory {
     }
 
     /// Adds the arrays of a group and notes its links. Returns the groups in it that are new.
-    fn list(&mut self, contents: &ArrayFile, group: &Waiting) -> Result<Vec<(String, ObjectPlace)>, String> {
+    fn list(
+        &mut self,
+        contents: &ArrayFile,
+        group: &NextGroup,
+    ) -> Result<Vec<(String, ObjectPlace)>, String> {
         let links = contents.links(group.place.at)?;
         let own = contents.metadata.group(&group.place.path).map_err(|e| problem(&e))?;
         let are_objects = links.iter().all(|link| matches!(link.target, LinkTarget::Object(_)));

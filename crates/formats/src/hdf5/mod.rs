@@ -193,7 +193,7 @@ impl VolumeFile for Hdf5File {
         };
         let stored = with_contents(open_file(path)?, path, |contents| {
             let storage = |(channel, name): &(usize, String)| {
-                let found = part_storage(contents, name, image, self.most_bytes)?;
+                let found = part_storage(contents, name, (&self.plan, image), self.most_bytes)?;
                 Ok(found.map(|storage| (*channel, storage)))
             };
             let found = parts.iter().map(storage).collect::<Result<Vec<_>, String>>();
@@ -207,13 +207,7 @@ impl VolumeFile for Hdf5File {
         }
         let zero = vec![0; self.plan.dtype.num_bytes()];
         collector.fill(stored.first().map_or(&zero, |(_, storage)| &storage.fill))?;
-        let dims: Vec<u64> = self.plan.axes.iter().map(|axis| axis.size).collect();
         for (channel, storage) in &stored {
-            let fits = storage.shape.iter().rev().zip(&dims).all(|(stored, dim)| stored >= dim);
-            if !fits || (storage.dtype, storage.endian) != (self.plan.dtype, self.plan.endian) {
-                let problem = format!("{} is unlike the others", quoted(&storage.path));
-                return Err(collector.data_error(path, problem));
-            }
             self.read_array(storage, *channel, collector)?;
         }
         Ok(())
@@ -293,11 +287,11 @@ impl Hdf5File {
     }
 }
 
-/// How the array at `name` is stored; `None` if it is a part of `image` that is not there.
+/// How the array at `name` is stored, which is as `plan` says; `None` if it is a part of `image` that is not there.
 fn part_storage(
     contents: &ArrayFile,
     name: &str,
-    image: Option<&ArrayImage>,
+    (plan, image): (&Plan, Option<&ArrayImage>),
     most_bytes: u64,
 ) -> Result<Option<Storage>, String> {
     if image.is_some() && contents.resolve(name).is_err() {
@@ -309,6 +303,11 @@ fn part_storage(
     let mut storage = Storage::of(contents, &contents.array(name)?, most_bytes)?;
     if let Some(image) = image {
         storage.dtype = image.names().dtype(storage.dtype);
+    }
+    let mut sizes = storage.shape.iter().rev().zip(&plan.axes);
+    let fits = storage.shape.len() <= plan.axes.len() && sizes.all(|(stored, axis)| *stored >= axis.size);
+    if !fits || (storage.dtype, storage.endian) != (plan.dtype, plan.endian) {
+        return Err(format!("{} is unlike the others", quoted(name)));
     }
     Ok(Some(storage))
 }

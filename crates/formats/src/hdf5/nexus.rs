@@ -6,14 +6,14 @@ use super::links::Place;
 use crate::plan::AxisKind;
 
 /// The array that a file shows by default.
-pub(super) struct ShownArray {
+pub(super) struct DefaultSignal {
     /// The byte at which its header begins.
     at: u64,
     /// The group of data that has it or a link to it.
     group: String,
 }
 
-impl ShownArray {
+impl DefaultSignal {
     /// Whether `array` is it, by whatever path.
     pub(super) fn is_it(&self, array: &Listed) -> bool {
         array.at == self.at
@@ -21,11 +21,11 @@ impl ShownArray {
 }
 
 /// The array that `contents` shows by default; `None` if it is no NeXus file, or does not say.
-pub(super) fn shown(contents: &ArrayFile) -> Option<ShownArray> {
+pub(super) fn shown(contents: &ArrayFile) -> Option<DefaultSignal> {
     let group = default_data(contents)?;
     let signal = signal(contents, &group)?;
     match contents.resolve(&format!("{group}/{signal}")) {
-        Ok(Place::Here(place)) => Some(ShownArray { at: place.at, group }),
+        Ok(Place::Here(place)) => Some(DefaultSignal { at: place.at, group }),
         _ => None,
     }
 }
@@ -75,7 +75,7 @@ fn signal(contents: &ArrayFile, group: &str) -> Option<String> {
 }
 
 /// The axes of an array, by the group of data that shows it; `None` if there is none, or it names no axes.
-pub(super) fn axes(contents: &ArrayFile, array: &Listed, shown: &ShownArray) -> Option<Vec<Coordinates>> {
+pub(super) fn axes(contents: &ArrayFile, array: &Listed, shown: &DefaultSignal) -> Option<Vec<Coordinates>> {
     let group = if shown.is_it(array) { shown.group.clone() } else { array.folder().to_owned() };
     let attributes = contents.attributes(&group)?;
     if attributes.text("NX_class").as_deref() != Some("NXdata") {

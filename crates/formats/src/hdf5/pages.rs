@@ -22,6 +22,8 @@ struct SharedParts {
     format: String,
     most_bytes: u64,
     image: ShownImage,
+    /// The plans of its levels.
+    plans: Vec<Plan>,
     num_channels: usize,
     num_times: usize,
     /// The arrays that were met, by their numbers; `None` for those that are not there.
@@ -44,20 +46,21 @@ struct PartBoxes {
 /// # Errors
 /// A chunk takes more memory than is kept.
 pub(super) fn levels(file: &Hdf5File, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+    let plans = match &file.image {
+        ShownImage::Array(_) => vec![file.plan.clone()],
+        ShownImage::Image { image, .. } => (0..image.num_levels()).map(|level| image.plan(level)).collect(),
+    };
     let shared = Arc::new(SharedParts {
         path: file.path.clone(),
         format: file.plan.format.clone(),
         most_bytes: (file.most_bytes / SHARE_OF_CHUNKS).clamp(LEAST_CACHED, MOST_CACHED),
         image: file.image.clone(),
+        plans: plans.clone(),
         num_channels: file.plan.channels() as usize,
         num_times: file.plan.times() as usize,
         storage: Mutex::default(),
         chunks: ChunkCache::new((file.most_bytes / SHARE_OF_CHUNKS).clamp(LEAST_CACHED, MOST_CACHED)),
     });
-    let plans = match &file.image {
-        ShownImage::Array(_) => vec![file.plan.clone()],
-        ShownImage::Image { image, .. } => (0..image.num_levels()).map(|level| image.plan(level)).collect(),
-    };
     let mut found = Vec::new();
     for (level, plan) in plans.into_iter().enumerate() {
         let Some((_, storage)) = shared.storage(level, 0, 0)? else { continue };
@@ -111,7 +114,7 @@ impl SharedParts {
             return Ok(found.clone().map(|found| (number, found)));
         }
         let read = with_contents(open_file(&self.path)?, &self.path, |contents| {
-            let found = part_storage(contents, &name, image, self.most_bytes);
+            let found = part_storage(contents, &name, (&self.plans[level], image), self.most_bytes);
             found.map_err(malformed(&self.path, &self.format))
         })?;
         let found = read.map(Arc::new);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use hdf5_pure::{ChunkIndex, Dataset, Error, Filter, Layout};
 
 use super::contents::{ArrayFile, Listed, problem};
-use super::layouts::{chunks_in_tree, has_plain_edges, tell_layout};
+use super::layouts::{chunks_in_tree, fill_value, has_plain_edges, tell_layout};
 use super::source::SharedFile;
 use crate::chunk_grid::{MAX_CHUNKS, covering, next_index};
 use crate::dtype::{Dtype, Endian};
@@ -15,7 +15,6 @@ use crate::unpack::{BitPacking, Codec};
 /// The numbers of an array in the file.
 pub(super) struct Storage {
     file: Arc<SharedFile>,
-    pub(super) path: String,
     pub(super) shape: Vec<u64>,
     pub(super) dtype: Dtype,
     pub(super) endian: Endian,
@@ -66,26 +65,20 @@ impl Storage {
         let StorageForm { dataset, filters, layout } = StorageForm::of(contents, array)?;
         let size = dtype.num_bytes() as u64;
         let shape = array.shape.clone();
-        let mut fill = vec![0; size as usize];
+        let fill = fill_value(&contents.objects, array.at, size as usize);
         let (sides, place) = match layout {
             Layout::Compact { .. } => (shape.clone(), Place::Here(row(&dataset, &shape, 0, shape[0], size)?)),
             Layout::Contiguous { address: Some(address), .. } => (divided(&shape, size), Place::At(address)),
             Layout::Chunked { chunk_shape, index } => {
                 check_chunks(&shape, &chunk_shape, size, most_bytes)?;
                 let chunks = stored_chunks(contents, array, &dataset, (&chunk_shape, index))?;
-                if let Some(empty) = empty_row(&shape, &chunk_shape, &chunks) {
-                    fill = fill_of(&dataset, &shape, empty, size)?;
-                }
                 (chunk_shape, Place::Chunks(chunks))
             }
-            _ => {
-                fill = fill_of(&dataset, &shape, 0, size)?;
-                (divided(&shape, size), Place::Nowhere)
-            }
+            _ => (divided(&shape, size), Place::Nowhere),
         };
         let order = (0..shape.len()).collect();
-        let (file, path) = (Arc::clone(&contents.bytes), array.path.clone());
-        Ok(Self { file, path, shape, dtype, endian, sides, order, place, filters, fill })
+        let file = Arc::clone(&contents.bytes);
+        Ok(Self { file, shape, dtype, endian, sides, order, place, filters, fill })
     }
 
     pub(super) fn bytes_of_chunk(&self) -> u64 {
@@ -375,29 +368,6 @@ fn divided(shape: &[u64], bytes_per_number: u64) -> Vec<u64> {
     sides
 }
 
-/// A number along the slowest axis at which no chunk is stored.
-fn empty_row(shape: &[u64], sides: &[u64], chunks: &[StoredChunk]) -> Option<u64> {
-    let num_rows = shape[0].div_ceil(sides[0]);
-    let mut is_there = vec![false; num_rows as usize];
-    for chunk in chunks {
-        if let Some(there) = is_there.get_mut((chunk.start[0] / sides[0]) as usize) {
-            *there = true;
-        }
-    }
-    is_there.iter().position(|there| !there).map(|i| i as u64 * sides[0])
-}
-
-/// The fill value, which the reader of metadata tells only as the numbers of a row that is not stored.
-fn fill_of(dataset: &Dataset, shape: &[u64], at: u64, size: u64) -> Result<Vec<u8>, String> {
-    let bytes = shape[1..].iter().try_fold(size, |n, side| n.checked_mul(*side));
-    if bytes.is_none_or(|bytes| bytes > MAX_ROW_BYTES) {
-        return Ok(vec![0; size as usize]);
-    }
-    let mut row = row(dataset, shape, at, 1, size)?;
-    row.truncate(size as usize);
-    Ok(row)
-}
-
 /// The numbers of rows as bytes, from the reader of metadata.
 fn row(dataset: &Dataset, shape: &[u64], at: u64, num: u64, size: u64) -> Result<Vec<u8>, String> {
     let expected =
@@ -417,7 +387,7 @@ const FILTER_BYTES: u64 = 1 << 16;
 const MAX_FILTERS: usize = 8;
 /// Bytes to read at a time.
 const READ_BYTES: u64 = 4 << 20;
-/// Most bytes of a row that is read for its fill value, or of numbers in the metadata.
+/// Most bytes of numbers in the metadata.
 const MAX_ROW_BYTES: u64 = 64 << 20;
 /// Most numbers that are read as coordinates and the like.
 const MAX_NUMBERS: u64 = 1 << 18;
