@@ -1,9 +1,9 @@
 // A march through the pages of a volume, whose texels lie in an atlas. Twin of Fields in
 // crates/core/src/kernels/march/field.rs. TABLE and FIELDS stand for the numbers of two bindings.
 
-// For each page of the finest level, x fastest, the index of the field that stands for it, and above LEVEL_SHIFT its level;
-// or NOTHING.
-@group(0) @binding(TABLE) var<storage, read> page_table: array<u32>;
+// For each page of the finest level, x fastest: in x the index of the field that stands for it, and above LEVEL_SHIFT its
+// level, or NOTHING; in y the binary logarithms of the sides of the block around it that has no other, a byte each.
+@group(0) @binding(TABLE) var<storage, read> page_table: array<vec2u>;
 @group(0) @binding(FIELDS) var<storage, read> page_fields: array<PageField>;
 
 // What the march keeps of the page that it is in.
@@ -25,17 +25,17 @@ fn run_at(line: Line, lattice: Lattice, from_point: u32, stride: u32) -> Run {
     var i = from_point;
     while (i < n) {
         let cell = cell_at(line, lattice, f32(i) + half);
-        let entry = entry_of(cell);
+        let entry_and_block = entry_of(cell);
+        let entry = entry_and_block.x;
         let is_nothing = entry == NOTHING;
         let index = select(entry & ((1u << LEVEL_SHIFT) - 1u), 0u, is_nothing);
         let ascends = line.dir > vec3f(0.0);
-        // NOTHING has the size of a page of the finest level.
-        let edge = cell + select(vec3u(0u), vec3u(1u), ascends);
-        let is_outer = (edge == vec3u(0u)) | (edge == scene.page_grid);
+        // Finer pages may stand for other parts of the same page.
+        let sides = (vec3u(entry_and_block.y) >> vec3u(0u, 8u, 16u)) & vec3u(0xffu);
+        let edge = ((cell >> sides) + select(vec3u(0u), vec3u(1u), ascends)) << sides;
+        let is_outer = (edge == vec3u(0u)) | (edge >= scene.page_grid);
         let inner = vec3f(edge * PAGE_CELLS) + 0.5;
-        let of_cell = select(inner, select(vec3f(-FAR), vec3f(FAR), ascends), is_outer);
-        let of_field = select(page_fields[index].low, page_fields[index].high, ascends);
-        let faces = select(of_field, of_cell, is_nothing);
+        let faces = select(inner, select(vec3f(-FAR), vec3f(FAR), ascends), is_outer);
         let exits = (faces - line.origin) / line.dir;
         let exit = min(min(exits.x, exits.y), exits.z);
         let leaves = ceil((exit - lattice.s0) / lattice.h - half);
@@ -48,7 +48,7 @@ fn run_at(line: Line, lattice: Lattice, from_point: u32, stride: u32) -> Run {
             i = min(i + (end - i + step - 1u) / step * step, n);
             continue;
         }
-        let next = entry_of(cell_at(line, lattice, f32(end) + half));
+        let next = entry_of(cell_at(line, lattice, f32(end) + half)).x;
         let level = select(next >> LEVEL_SHIFT, 0u, next == NOTHING);
         let is_same = end >= n || level == entry >> LEVEL_SHIFT;
         page = Page(
@@ -71,7 +71,7 @@ fn cell_at(line: Line, lattice: Lattice, place: f32) -> vec3u {
     return min(vec3u(index) / PAGE_CELLS, scene.page_grid - 1u);
 }
 
-fn entry_of(at: vec3u) -> u32 {
+fn entry_of(at: vec3u) -> vec2u {
     return page_table[(at.z * scene.page_grid.y + at.y) * scene.page_grid.x + at.x];
 }
 

@@ -72,11 +72,6 @@ struct PageField {
     first_word: u32,
     last: vec3i,
     is_visible: u32,
-    // Its faces in the voxel space of the finest level. Those at the volume's faces are farther away than any point.
-    low: vec3f,
-    padding_0: u32,
-    high: vec3f,
-    padding_1: u32,
 }
 
 // core::transfer::TransferTable, and more facts about values for a march (core::kernels::march::modes).

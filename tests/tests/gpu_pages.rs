@@ -13,7 +13,7 @@ use isinglass_core::kernels::raycast::raycast;
 use isinglass_core::mode::Mode;
 use isinglass_core::session::admission::ViewerId;
 use isinglass_core::volume::procedural::Builtin;
-use isinglass_core::volume::{Lighting, PageSet, PageView, Volume, VoxelKind, Voxels};
+use isinglass_core::volume::{Lighting, Page, PageSet, PageView, PageVoxels, Volume, VoxelKind, Voxels};
 use isinglass_formats::{Dtype, Endian, OpenOptions, RawShape, open, preset};
 use isinglass_gpu::{Gpu, GpuRenderer};
 use isinglass_server::Pager;
@@ -98,7 +98,14 @@ fn where_nothing_is_seen_both_show_nothing() {
         let base = Scene::new(Arc::new(base), &shells, settings(mode, Lighting::default()));
         let seen = SeenPages::of(&levels.pyramid, &base, &*levels);
         let finest = levels.set(|id| id.level == 0 && seen.sees(id));
-        assert!(base.with_pages(finest.clone(), None).pages.unwrap().table.contains(&NOTHING));
+        assert!(
+            base.with_pages(finest.clone(), None)
+                .pages
+                .unwrap()
+                .table
+                .iter()
+                .any(|cell| cell.slot == NOTHING)
+        );
         let half = levels.set(|id| id.level == 0 && seen.sees(id) && id.at[0] == 0);
         agree(gpu, &base, &[finest, half, levels.set(|_| false)], &format!("shells, {mode:?}"));
     }
@@ -167,4 +174,33 @@ fn a_long_volume_is_shown_by_pages() {
     let coarse = Arc::new(PageSet::new(pyramid, coarsest, |_| true));
     assert!(pages.set.pages().iter().any(|page| page.id.level == 0));
     agree(gpu, &base, &[pages.set, coarse], "a long volume");
+}
+
+#[test]
+fn a_level_that_is_held_whole_looks_as_on_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let levels = Levels::of(&volume_of(DIMS, Vec3::ONE, VoxelKind::U8), &[[1; 3], [2; 3], [4; 3]]);
+    let base = scene(levels.base(), &Channels::default(), settings(Mode::Composite, Lighting::default()));
+    let level = |number: u8| {
+        let volume = &levels.volumes[usize::from(number)];
+        let channel = PageVoxels { voxels: volume.voxels().clone(), gaps: None };
+        let page = Page::whole_level(&levels.pyramid, number, vec![channel]).unwrap();
+        base.with_pages(Arc::new(PageSet::of_level(levels.pyramid.clone(), Arc::new(page))), None)
+    };
+    let pages = base.with_pages(levels.set(|id| id.level == 1), None);
+    let mut renderer = GpuRenderer::new(gpu, base.clone()).unwrap();
+    // Pages and levels take turns, as a camera comes and goes.
+    for (paged, what) in [(level(1), "level 1"), (pages, "pages"), (level(0), "level 0"), (level(1), "again")]
+    {
+        renderer.set_scene(paged.clone()).unwrap();
+        let twin = paged.of_level().unwrap_or(paged);
+        for camera in cameras(&base) {
+            let found = renderer.render(&camera).unwrap();
+            Difference::of(&found, &render(&twin, &camera)).assert_tolerable(what);
+        }
+    }
+    // Negative control: the level before is another picture.
+    let camera = cameras(&base)[0];
+    let finest = render(&level(0).of_level().unwrap(), &camera);
+    Difference::of(&renderer.render(&camera).unwrap(), &finest).assert_noticed("level 0");
 }

@@ -5,7 +5,6 @@
 use std::sync::Arc;
 
 use glam::Vec3;
-use isinglass_core::cancel::ALWAYS;
 use isinglass_core::channels::{Blend, ChannelLook, Channels};
 use isinglass_core::clip::{Clip, Plane};
 use isinglass_core::image_error::compare;
@@ -14,10 +13,10 @@ use isinglass_core::kernels::march::{MarchSettings, Scene, SeenPages, render};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::mode::Mode;
 use isinglass_core::picture::Picture;
+use isinglass_core::transfer::Domain;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{
-    Detail, FoundVoxel, Lighting, Page, PageId, PageSet, PageValues, PageVoxels, Paging, SlabMode, Slice,
-    SlicePlane, SliceSpec, ValuesAt, Volume, VoxelKind, Voxels, page_of,
+    Detail, LevelAssembly, Lighting, PageId, PageSet, Paging, Volume, VoxelKind, Voxels,
 };
 use isinglass_formats::preset;
 use isinglass_tests::levels::{
@@ -213,100 +212,57 @@ fn a_ramp_of_the_world_is_the_same_at_every_level() {
     }
 }
 
-fn slices(whole: &Volume) -> Vec<SliceSpec> {
-    let axis = |axis: u8, index, thickness, mode| SliceSpec {
-        plane: SlicePlane::Axis { axis, index },
-        thickness,
-        mode,
+/// Holes that cross the borders of pages, single ones everywhere, and pages with nothing.
+fn with_holes(volume: Volume, seed: u32) -> Volume {
+    let [nx, ny, nz] = volume.dims();
+    let is_gap = |i: u32| {
+        let [x, y, z] = [i % nx, i / nx % ny, i / nx / ny];
+        let near = (x as f32 - 64.0).hypot(y as f32 - 40.0).hypot(z as f32 - 30.0) < 9.0;
+        // Some pages have nothing in one channel, and others in the other.
+        let is_empty = if seed == 0 { x > 61 && x < 132 } else { x < 70 };
+        near || is_empty || (x * 7 + y * 5 + z + seed) % 31 == 0
     };
-    let step = whole.spacing().min_element();
-    let oblique = |thickness, mode| SliceSpec {
-        plane: SlicePlane::Oblique {
-            origin: (whole.bounds().min * 1.1).to_array(),
-            column: [step * 1.3, step * 0.6, 0.1 * step],
-            row: [-0.2 * step, 0.7 * step, step],
-            size: [130, 90],
-        },
-        thickness,
-        mode,
-    };
-    let mut specs = vec![oblique(0.0, SlabMode::Mean), oblique(9.0 * step, SlabMode::Mean)];
-    specs.push(oblique(4.0 * step, SlabMode::Min));
-    for (a, index) in [(0, 63), (0, 64), (1, 65), (1, 0), (2, 20), (2, 9999)] {
-        specs.push(axis(a, index, 0.0, SlabMode::Mean));
-    }
-    specs.extend([axis(0, 66, 11.0, SlabMode::Mean), axis(2, 30, 7.0, SlabMode::Max)]);
-    specs
-}
-
-/// What stands for a page of the finest level in a set.
-fn finder(set: &PageSet) -> impl Fn([u32; 3]) -> Arc<Page> + Sync {
-    |at| set.pages()[set.slot(at)].clone()
+    volume.with_gaps((0..nx * ny * nz).map(|i| u8::from(is_gap(i))).collect())
 }
 
 #[test]
-fn slices_of_all_pages_are_those_of_the_volume() {
-    for kind in [VoxelKind::U8, VoxelKind::U16, VoxelKind::F32] {
-        let whole = volume_of([150, 90, 70], Vec3::new(1.0, 1.25, 0.8), kind);
-        let levels = Levels::of(&whole, &[[1; 3], [2, 2, 1], [4, 4, 2]]);
-        let (base, pyramid) = (levels.base(), &*levels.pyramid);
-        let (all, none) = (levels.set(|_| true), levels.set(|_| false));
-        let (all, none) = (finder(&all), finder(&none));
-        let voxels_of = |id: PageId| page_of(&levels.volumes[usize::from(id.level)], pyramid.first_point(id));
-        let read = |id: PageId| Some(voxels_of(id));
-        let fails = |id: PageId| (id.at != [1, 0, 0]).then(|| voxels_of(id));
-        for spec in slices(&whole) {
-            let flat = Slice::of(&whole, &spec, ALWAYS).unwrap();
-            let of = |values: PageValues<'_>| Slice::of_pages(&values, &spec, ALWAYS).unwrap();
-            assert_eq!(of(PageValues::known(&base, pyramid, &all)), (flat.clone(), 0), "{kind:?} {spec:?}");
-            let read = of(PageValues::known(&base, pyramid, &none).reading(0, &read));
-            assert_eq!(read, (flat.clone(), 0), "{kind:?} {spec:?}: read for this alone");
-            // The control: coarser pages are near, and say so.
-            let (coarse, level) = of(PageValues::known(&base, pyramid, &none));
-            assert!(coarse.size == flat.size && coarse != flat && level == 2, "{kind:?} {spec:?}");
-            let (torn, _) = of(PageValues::known(&base, pyramid, &none).reading(0, &fails));
-            assert_eq!(torn.size, flat.size);
+fn pages_with_gaps_are_the_volume() {
+    let spacing = Vec3::new(1.0, 1.3, 0.8);
+    for kind in [VoxelKind::U8, VoxelKind::F32] {
+        let whole = volume_of([205, 70, 66], spacing, kind);
+        let holed = with_holes(whole.clone(), 0);
+        let levels = Levels::of(&holed, &[[1, 1, 1], [2, 2, 1]]);
+        let light = Lighting { specular: 0.5, shininess: 20.0, ..Lighting::default() };
+        for mode in [Mode::Composite, Mode::Mip] {
+            agree(&holed, &levels, &Channels::default(), settings(mode, light));
         }
-        let spec = slices(&whole)[4];
-        let values = PageValues::known(&base, pyramid, &none).reading(0, &fails);
-        let (torn, level) = Slice::of_pages(&values, &spec, ALWAYS).unwrap();
-        assert!(
-            level == 2 && torn != Slice::of(&whole, &spec, ALWAYS).unwrap(),
-            "a page that cannot be read"
-        );
-        assert_eq!(Slice::of_pages(&values, &spec, &|| false), None, "nobody waits");
+        // The control: without its gaps it is another picture.
+        let scene = |v: Volume| {
+            let settings = settings(Mode::Composite, light);
+            Scene::with_channels(Arc::new(v), &transfer(), Channels::default(), settings)
+        };
+        let camera = cameras(&scene(whole.clone()))[0];
+        assert!(render(&scene(whole), &camera).pixels != render(&scene(holed), &camera).pixels);
     }
 }
 
 #[test]
-fn points_of_pages_are_those_of_the_volume() {
-    let whole = volume_of([150, 90, 70], Vec3::new(1.0, 1.25, 0.8), VoxelKind::F32);
-    let levels = Levels::of(&whole, &[[1; 3], [2, 2, 1], [4, 4, 2]]);
-    let (base, pyramid) = (levels.base(), &*levels.pyramid);
-    let some = levels.set(|id| id.level == 0 && id.at[0] == 0);
-    let find = finder(&some);
-    let read = |id: PageId| -> Option<PageVoxels> {
-        Some(page_of(&levels.volumes[usize::from(id.level)], pyramid.first_point(id)))
-    };
-    let known = PageValues::known(&base, pyramid, &find);
-    let full = PageValues::known(&base, pyramid, &find).reading(0, &read);
-    let (mut known, mut full, mut flat) = (known.cursor(), full.cursor(), &whole);
-    let (bounds, mut num_coarse) = (whole.bounds(), 0);
-    for i in 0..2000u32 {
-        let share = Vec3::new((i % 37) as f32 / 36.0, (i % 41) as f32 / 40.0, (i % 43) as f32 / 42.0);
-        let point = bounds.min + (bounds.max - bounds.min) * share;
-        let voxel = flat.voxel(point).unwrap();
-        assert_eq!(full.voxel(point), Some(voxel), "{point}");
-        assert_eq!(full.between(point), flat.between(point), "{point}");
-        let found: FoundVoxel = known.voxel(point).unwrap();
-        assert_eq!(found.index, voxel.index);
-        assert!(found.level == 2 || found == voxel, "the finest that is known, or it says so");
-        num_coarse += usize::from(found.level == 2);
+fn each_channel_has_its_own_window_and_its_own_gaps() {
+    let whole = volume_of([205, 70, 66], Vec3::ONE, VoxelKind::U8);
+    let other = with_holes(Arc::unwrap_or_clone(other_channel(&whole, 3)), 1);
+    let whole = with_holes(whole, 0).with_others(vec![Arc::new(other)]).unwrap();
+    let levels = Levels::of(&whole, &[[1, 1, 1], [2, 2, 2]]);
+    let mut narrow = transfer();
+    narrow.domain = Domain::Values(20.0, 140.0);
+    let look = ChannelLook { transfer: narrow, visibility: Default::default() };
+    for (blend, mode, chosen) in [
+        (Blend::Additive, Mode::Composite, 0),
+        (Blend::Over, Mode::Composite, 0),
+        (Blend::Over, Mode::Mip, 1),
+    ] {
+        let looks = Channels { blend, chosen, others: vec![look.clone()], ..Channels::default() };
+        agree(&whole, &levels, &looks, settings(mode, Lighting::default()));
     }
-    assert!(num_coarse > 500 && num_coarse < 1500, "{num_coarse}");
-    assert_eq!((known.coarsest(), full.coarsest()), (2, 0));
-    let outside = bounds.max + 1.0;
-    assert_eq!((full.voxel(outside), full.between(outside)), (None, None));
 }
 
 #[test]
@@ -341,4 +297,36 @@ fn light_in_pieces_is_the_light_at_once() {
     same(&render(&in_pieces, &camera), &render(&at_once, &camera), "in pieces");
     // The control: the light before is another one.
     assert!(psnr(&render(&before, &camera), &render(&at_once, &camera)) < 45.0);
+}
+
+#[test]
+fn a_level_from_its_pages_is_the_level() {
+    for kind in [VoxelKind::U8, VoxelKind::U16, VoxelKind::F32] {
+        let levels = Levels::of(&volume_of(DIMS, Vec3::ONE, kind), &[[1; 3], [2, 2, 1], [4, 4, 2]]);
+        for (level, volume) in levels.volumes.iter().enumerate() {
+            let mut assembly = LevelAssembly::new(&levels.pyramid, level as u8, 1);
+            let mut ids: Vec<PageId> = assembly.missing().iter().copied().collect();
+            ids.sort_unstable_by_key(|id| id.at.map(|at| at * 7 % 3));
+            for id in &ids {
+                // The control: one page less is another volume.
+                assert!(!assembly.missing().is_empty());
+                assembly.add(&levels.pyramid, &levels.page(*id));
+            }
+            assert!(assembly.missing().is_empty());
+            let page = assembly.finish(&levels.pyramid).unwrap();
+            assert_eq!((page.volume.dims(), page.volume.voxels()), (volume.dims(), volume.voxels()));
+            // It looks as the level by itself: steps may begin elsewhere.
+            let scene = |v: &Volume| {
+                let settings = settings(Mode::Composite, Lighting::default());
+                Scene::new(Arc::new(v.clone()), &transfer(), settings)
+            };
+            let set = Arc::new(PageSet::of_level(levels.pyramid.clone(), Arc::new(page)));
+            let paged = scene(&levels.base()).with_pages(set, None);
+            for camera in cameras(&paged) {
+                let (found, truth) = (render(&paged, &camera), render(&scene(volume), &camera));
+                assert!(psnr(&found, &truth) > 45.0, "{level}: {}", psnr(&found, &truth));
+                same(&render(&paged.of_level().unwrap(), &camera), &truth, "without pages");
+            }
+        }
+    }
 }

@@ -340,7 +340,7 @@ impl Loader for Film {
         Ok(Survey { parts: choices(time), bytes_needed: 0 })
     }
 
-    fn load(&self, part: &Part, _: &dyn Fn(f32), _: &AtomicBool) -> Result<Loaded, String> {
+    fn load(&self, part: &Part, _: u64, _: &dyn Fn(f32), _: &AtomicBool) -> Result<Loaded, String> {
         let volume = paged(&self.times[part.time.unwrap() as usize], |_, _| None, MEMORY);
         Ok(Loaded { volume, transfer: self.transfer.clone(), channels: Default::default() })
     }

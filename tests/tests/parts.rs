@@ -75,7 +75,13 @@ impl Loader for Film {
         }
     }
 
-    fn load(&self, part: &Part, progress: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String> {
+    fn load(
+        &self,
+        part: &Part,
+        _: u64,
+        progress: &dyn Fn(f32),
+        cancel: &AtomicBool,
+    ) -> Result<Loaded, String> {
         progress(0.5);
         if let Some(gate) = &self.gate {
             let gate = gate.lock().unwrap();

@@ -60,7 +60,13 @@ impl Loader for Cells {
         }
     }
 
-    fn load(&self, part: &Part, _progress: &dyn Fn(f32), _cancel: &AtomicBool) -> Result<Loaded, String> {
+    fn load(
+        &self,
+        part: &Part,
+        _: u64,
+        _progress: &dyn Fn(f32),
+        _cancel: &AtomicBool,
+    ) -> Result<Loaded, String> {
         let channel = part.channel.unwrap();
         let transfer = load_transfer(["shells", "cubus", "cloud"][channel as usize]).unwrap();
         Ok(Loaded { volume: volume(channel), transfer, channels: Default::default() })

@@ -94,7 +94,7 @@ impl Loader for Film {
         Ok(Survey { parts, bytes_needed: found.bytes_needed() })
     }
 
-    fn load(&self, part: &Part, _: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String> {
+    fn load(&self, part: &Part, _: u64, _: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String> {
         self.loads.lock().unwrap().push(part.time.unwrap());
         if let Some(gate) = &self.gate {
             let gate = gate.lock().unwrap();

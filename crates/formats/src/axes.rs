@@ -236,6 +236,19 @@ impl Grid {
         thinned
     }
 
+    /// The grid of a coarser level, whose file has its axes as the volume has them: `dims` voxels, each of so many.
+    pub(crate) fn coarser(&self, dims: [u32; 3], factors: [u32; 3]) -> Self {
+        Self {
+            file_dims: dims.map(u64::from),
+            ranges: dims.map(|n| 0..u64::from(n)),
+            thin: [1; 3],
+            order: FILE_ORDER,
+            spacing: self.spacing * Vec3::from_array(factors.map(|n| n as f32)),
+            warnings: Vec::new(),
+            ..self.clone()
+        }
+    }
+
     /// Dimensions of the whole file after reordering.
     pub(crate) fn whole_dims(&self) -> [u64; 3] {
         self.order.map(|(axis, _)| self.file_dims[axis])
@@ -257,6 +270,19 @@ impl Grid {
             Voxels::U8(v) => Voxels::U8(self.reorder_vec(v)),
             Voxels::U16(v) => Voxels::U16(self.reorder_vec(v)),
             Voxels::F32(v) => Voxels::F32(self.reorder_vec(v)),
+        }
+    }
+
+    /// Numbers of `size` bytes in the order of the volume.
+    pub(crate) fn reorder_numbers(&self, bytes: Vec<u8>, size: usize) -> Vec<u8> {
+        if self.order == FILE_ORDER {
+            return bytes;
+        }
+        match size {
+            1 => self.reorder_vec(bytes),
+            2 => self.reorder_vec(bytes.as_chunks::<2>().0.to_vec()).into_flattened(),
+            4 => self.reorder_vec(bytes.as_chunks::<4>().0.to_vec()).into_flattened(),
+            _ => self.reorder_vec(bytes.as_chunks::<8>().0.to_vec()).into_flattened(),
         }
     }
 

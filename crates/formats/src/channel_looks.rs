@@ -4,7 +4,7 @@ use isinglass_core::channels::{Blend, ChannelLook, Channels, Visibility};
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::{Histogram, Volume, Voxels};
 
-use crate::presets::of_quantities;
+use crate::first_look::of_quantities;
 
 /// How the values of a channel become colours.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -169,6 +169,39 @@ fn strides(sides: &[u64], order: &[usize]) -> Vec<usize> {
     strides
 }
 
+/// Copies the numbers of a chunk into those of the whole array, each of `size` bytes and the last axis fastest. The
+/// chunk has its first number and its sides.
+pub(crate) fn place_chunk(
+    all: &mut [u8],
+    shape: &[u64],
+    (start, sides): (&[u64], &[u64]),
+    bytes: &[u8],
+    size: usize,
+) {
+    let Some(last) = shape.len().checked_sub(1) else { return };
+    let within: Vec<Range<u64>> =
+        (0..shape.len()).map(|i| 0..sides[i].min(shape[i].saturating_sub(start[i]))).collect();
+    if within.iter().any(Range::is_empty) {
+        return;
+    }
+    let run = within[last].end as usize * size;
+    let mut rows = within;
+    rows[last] = 0..1;
+    let mut index = vec![0; shape.len()];
+    loop {
+        let at = |lengths: &[u64], first: &dyn Fn(usize) -> u64| {
+            (0..shape.len()).fold(0, |at, i| at * lengths[i] + first(i) + index[i]) as usize * size
+        };
+        let (to, from) = (at(shape, &|i| start[i]), at(sides, &|_| 0));
+        if let (Some(to), Some(from)) = (all.get_mut(to..to + run), bytes.get(from..from + run)) {
+            to.copy_from_slice(from);
+        }
+        if !next_index(&mut index, &rows) {
+            return;
+        }
+    }
+}
+
 /// The chunks of this side that hold a range.
 pub(crate) fn covering(range: &Range<u64>, side: u64) -> Range<u64> {
     range.start / side..range.end.div_ceil(side)

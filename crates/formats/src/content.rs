@@ -1,12 +1,12 @@
 //! Recognises the content of a file, for windows that list files or accept dropped ones.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use crate::error::FormatError;
 use crate::packed::inside_gzip;
 use crate::sniff::{self, FileKind};
+use crate::source::{kind_but_file, open_file};
 use crate::state::is_state;
 use crate::{error, zarr};
 
@@ -33,12 +33,11 @@ pub fn content_of(path: &Path) -> Result<Content, FormatError> {
     if path.is_dir() {
         return Ok(if zarr::is_group(path) { Content::Volume("OME-Zarr") } else { Content::Folder });
     }
-    if !std::fs::metadata(path).map_err(error::io_error(path))?.is_file() {
-        return Ok(Content::Other("a pipe or device"));
+    if let Some(kind) = kind_but_file(&std::fs::metadata(path).map_err(error::io_error(path))?) {
+        return Ok(Content::Other(kind));
     }
     let mut start = Vec::new();
-    let file = File::open(path).map_err(error::io_error(path))?;
-    file.take(sniff::SNIFFED_BYTES).read_to_end(&mut start).map_err(error::io_error(path))?;
+    open_file(path)?.take(sniff::SNIFFED_BYTES).read_to_end(&mut start).map_err(error::io_error(path))?;
     Ok(of_start(&start, path))
 }
 
@@ -73,6 +72,7 @@ fn of_start(start: &[u8], path: &Path) -> Content {
         FileKind::Vtk => Content::Volume("VTK"),
         FileKind::Mgh => Content::Volume("MGH"),
         FileKind::Hdf5 | FileKind::BigDataViewer => Content::Volume("HDF5"),
+        FileKind::Netcdf => Content::Volume("NetCDF"),
         FileKind::Png => Content::Other("a PNG picture"),
         FileKind::Other("an XML document of another kind") => Content::Text,
         FileKind::Other("no header that is known") if is_text(start) => match is_state(start) {

@@ -116,6 +116,32 @@ impl VoxelSink {
         self.voxels
     }
 
+    /// The numbers in the type of the file, little-endian. Wide ones are as exact as single precision is.
+    pub(crate) fn into_numbers(self) -> Vec<u8> {
+        let dtype = self.dtype;
+        match self.voxels {
+            Voxels::U8(mut v) => {
+                if dtype == Dtype::Int8 {
+                    v.iter_mut().for_each(|x| *x ^= 0x80);
+                }
+                v
+            }
+            Voxels::U16(v) => {
+                let flip = if dtype == Dtype::Int16 { 0x8000 } else { 0 };
+                v.into_iter().flat_map(|x| (x ^ flip).to_le_bytes()).collect()
+            }
+            Voxels::F32(v) => match dtype {
+                Dtype::Half => v.into_iter().flat_map(|x| f16::from_f32(x).to_le_bytes()).collect(),
+                Dtype::Int32 => v.into_iter().flat_map(|x| (x as i32).to_le_bytes()).collect(),
+                Dtype::Uint32 => v.into_iter().flat_map(|x| (x as u32).to_le_bytes()).collect(),
+                Dtype::Int64 => v.into_iter().flat_map(|x| (x as i64).to_le_bytes()).collect(),
+                Dtype::Uint64 => v.into_iter().flat_map(|x| (x as u64).to_le_bytes()).collect(),
+                Dtype::Double => v.into_iter().flat_map(|x| f64::from(x).to_le_bytes()).collect(),
+                _ => v.into_iter().flat_map(f32::to_le_bytes).collect(),
+            },
+        }
+    }
+
     /// Voxels taken so far.
     pub(crate) fn len(&self) -> usize {
         self.voxels.len()
@@ -222,12 +248,17 @@ impl VoxelSink {
             let text = format!("{n} {name} voxels are beyond 2^24 and were rounded to single precision");
             warnings.push(Warning::new(WarningKind::Values, text));
         }
-        let offset = match self.dtype {
-            Dtype::Int8 => -128.0,
-            Dtype::Int16 => -32_768.0,
-            _ => 0.0,
-        };
+        let offset = offset_in_memory(self.dtype);
         Decoded { voxels: self.voxels, value_map: (1.0, offset), gaps, mark, warnings }
+    }
+}
+
+/// What the numbers of a type are more than those in memory, which have no sign.
+pub(crate) fn offset_in_memory(dtype: Dtype) -> f32 {
+    match dtype {
+        Dtype::Int8 => -128.0,
+        Dtype::Int16 => -32_768.0,
+        _ => 0.0,
     }
 }
 

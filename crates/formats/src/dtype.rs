@@ -220,6 +220,29 @@ impl FromStr for Endian {
     }
 }
 
+/// Numbers in double precision, as coordinates need.
+pub(crate) fn numbers_from_bytes(bytes: &[u8], dtype: Dtype, endian: Endian) -> Vec<f64> {
+    let number = |word: &[u8]| {
+        let mut low = [0; 8];
+        low[..word.len()].copy_from_slice(word);
+        if endian == Endian::Big {
+            low[..word.len()].reverse();
+        }
+        let bits = u64::from_le_bytes(low);
+        match dtype {
+            Dtype::Uint8 | Dtype::Uint16 | Dtype::Uint32 | Dtype::Uint64 => bits as f64,
+            Dtype::Int8 => f64::from(bits as i8),
+            Dtype::Int16 => f64::from(bits as i16),
+            Dtype::Int32 => f64::from(bits as i32),
+            Dtype::Int64 => bits as i64 as f64,
+            Dtype::Half => half::f16::from_bits(bits as u16).to_f64(),
+            Dtype::Float => f64::from(f32::from_bits(bits as u32)),
+            Dtype::Double => f64::from_bits(bits),
+        }
+    };
+    bytes.chunks_exact(dtype.num_bytes()).map(number).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

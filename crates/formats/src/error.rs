@@ -112,7 +112,7 @@ pub enum FormatError {
         problem: String,
     },
     /// The volume would take more memory than allowed.
-    #[error("{path}: needs {needed} bytes of memory, expected at most {limit}")]
+    #[error("{path}: needs {needed} bytes of memory, expected at most {limit}{advice}")]
     TooLarge {
         /// The file or built-in volume.
         path: String,
@@ -120,6 +120,8 @@ pub enum FormatError {
         needed: u64,
         /// The limit it was opened with.
         limit: u64,
+        /// What else may be done, after a semicolon; empty if nothing is known.
+        advice: &'static str,
     },
     /// The voxels do not make a volume.
     #[error("{path}: {cause}")]
@@ -174,6 +176,14 @@ pub enum FormatError {
 }
 
 impl FormatError {
+    /// The same error, which tells what makes a file of any size smaller in memory.
+    pub(crate) fn with_advice(mut self) -> Self {
+        if let Self::TooLarge { advice, .. } = &mut self {
+            *advice = "; `isinglass convert` makes an OME-Zarr image of it that is read by pages";
+        }
+        self
+    }
+
     /// The same error about what was unpacked from `owner` into `folder`. A file inside is named behind its owner.
     pub(crate) fn named_within(mut self, folder: &Path, owner: &Path) -> Self {
         let (Self::Io { path, .. }

@@ -23,14 +23,16 @@ pub struct VolumeFacts {
     /// Unit of the spacing, if known.
     #[serde(skip)]
     pub unit: Option<String>,
-    /// Least and greatest value.
-    pub range: [f32; 2],
+    /// Which voxels range and percentiles are of.
+    pub values_of: ValuesOf,
+    /// Least and greatest value; `None` if no voxel was read.
+    pub range: Option<[f32; 2]>,
     /// Unit of the values, if known.
     #[serde(skip)]
     pub value_unit: Option<String>,
     /// Values at [`PERCENTILES`]; in JSON an object such as `{"1": 0.0, …, "99.9": 255.0}`.
     #[serde(serialize_with = "percentile_map")]
-    pub percentiles: [f32; PERCENTILES.len()],
+    pub percentiles: Option<[f32; PERCENTILES.len()]>,
     /// Where the axes point, such as `RAS`, if known.
     pub orientation: Option<String>,
     /// Bytes that the voxels and their brightness take in memory and on the GPU.
@@ -42,7 +44,69 @@ pub struct VolumeFacts {
     pub file: Option<Outline>,
 }
 
+/// The voxels that range and percentiles are of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ValuesOf {
+    /// All of the part that is described.
+    All,
+    /// All of it, as its index knows them.
+    Index,
+    /// All of this level of a pyramid.
+    Level(u32),
+    /// So many, evenly spread.
+    Sample(u64),
+    /// So many, the first of the file.
+    First(u64),
+    /// None.
+    Nothing,
+}
+
+impl fmt::Display for ValuesOf {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::All => write!(f, "all voxels"),
+            Self::Index => write!(f, "all voxels, by the index"),
+            Self::Level(level) => write!(f, "all voxels of level {level}"),
+            Self::Sample(n) => write!(f, "a sample of {n} voxels"),
+            Self::First(n) => write!(f, "the first {n} voxels"),
+            Self::Nothing => write!(f, "no voxels"),
+        }
+    }
+}
+
+impl serde::Serialize for ValuesOf {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
 impl VolumeFacts {
+    /// What a header says, without values.
+    pub(crate) fn of_header(outline: &Outline) -> Self {
+        Self {
+            name: outline.name.clone(),
+            dims: outline.dims,
+            dtype: outline.dtype.clone(),
+            spacing: outline.spacing,
+            unit: outline.unit.clone(),
+            values_of: ValuesOf::Nothing,
+            range: None,
+            value_unit: outline.value_unit.clone(),
+            percentiles: None,
+            orientation: outline.orientation.clone(),
+            bytes_in_memory: outline.bytes_in_memory,
+            warnings: outline.warnings.iter().map(|warning| warning.text.clone()).collect(),
+            file: Some(outline.clone()),
+        }
+    }
+
+    /// The same with the values of a histogram.
+    pub(crate) fn with_values(self, values_of: ValuesOf, histogram: &Histogram) -> Self {
+        let range = [0.0, 100.0].map(|p| histogram.percentile(p));
+        let percentiles = PERCENTILES.map(|p| histogram.percentile(p));
+        Self { values_of, range: Some(range), percentiles: Some(percentiles), ..self }
+    }
+
     /// The facts about `volume`. `histogram` must be its histogram.
     pub fn of(volume: &Volume, histogram: &Histogram) -> Self {
         let (lo, hi) = volume.value_range();
@@ -52,9 +116,10 @@ impl VolumeFacts {
             dtype: volume.info.dtype.clone(),
             spacing: volume.spacing().to_array(),
             unit: volume.info.unit.clone(),
-            range: [lo, hi],
+            values_of: ValuesOf::All,
+            range: Some([lo, hi]),
             value_unit: volume.info.value_unit.clone(),
-            percentiles: PERCENTILES.map(|p| histogram.percentile(p)),
+            percentiles: Some(PERCENTILES.map(|p| histogram.percentile(p))),
             orientation: volume.info.orientation.clone(),
             bytes_in_memory: volume.bytes_in_memory(),
             warnings: volume.info.warnings.clone(),
@@ -66,17 +131,24 @@ impl VolumeFacts {
 impl fmt::Display for VolumeFacts {
     /// Prints a few lines for people. Each ends with a line feed.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let ([nx, ny, nz], [sx, sy, sz], [lo, hi]) = (self.dims, self.spacing, self.range);
+        let ([nx, ny, nz], [sx, sy, sz]) = (self.dims, self.spacing);
         let unit = self.unit.as_ref().map_or(String::new(), |u| format!(" {u}"));
         writeln!(f, "{}", self.name)?;
         writeln!(f, "  dimensions   {nx} × {ny} × {nz}")?;
         writeln!(f, "  type         {}", self.dtype)?;
         writeln!(f, "  spacing      {sx} × {sy} × {sz}{unit}")?;
         let value_unit = self.value_unit.as_ref().map_or(String::new(), |u| format!(" {u}"));
-        writeln!(f, "  values       {lo} to {hi}{value_unit}")?;
-        let pairs: Vec<String> =
-            PERCENTILES.iter().zip(self.percentiles).map(|(p, value)| format!("{p} %: {value}")).collect();
-        writeln!(f, "  percentiles  {}", pairs.join("   "))?;
+        let of = match self.values_of {
+            ValuesOf::All => String::new(),
+            ValuesOf::Nothing => "not read; --values reads them".to_owned(),
+            of => format!(" (of {of}; --values reads all)"),
+        };
+        let range = self.range.map_or(String::new(), |[lo, hi]| format!("{lo} to {hi}{value_unit}"));
+        writeln!(f, "  values       {range}{of}")?;
+        if let Some(percentiles) = self.percentiles {
+            let pairs = PERCENTILES.iter().zip(percentiles).map(|(p, value)| format!("{p} %: {value}"));
+            writeln!(f, "  percentiles  {}", pairs.collect::<Vec<_>>().join("   "))?;
+        }
         let orientation = match self.orientation.as_deref() {
             Some(IMAGE_AXES) => "of an image: x to the right, y down, z back",
             letters => letters.unwrap_or("unknown"),
@@ -93,9 +165,10 @@ impl fmt::Display for VolumeFacts {
 }
 
 fn percentile_map<S: Serializer>(
-    values: &[f32; PERCENTILES.len()],
+    values: &Option<[f32; PERCENTILES.len()]>,
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
+    let Some(values) = values else { return serializer.serialize_none() };
     let mut map = serializer.serialize_map(Some(values.len()))?;
     for (percent, value) in PERCENTILES.iter().zip(values) {
         map.serialize_entry(&percent.to_string(), value)?;
@@ -127,12 +200,14 @@ mod tests {
             "percentiles",
             "range",
             "spacing",
+            "values_of",
             "warnings",
         ];
         assert_eq!(keys, promised);
         assert_eq!(json["dims"], serde_json::json!([16, 16, 16]));
         assert_eq!(json["bytes_in_memory"], 2 * 4096);
-        assert_eq!(json["percentiles"]["99.9"].as_f64().unwrap() as f32, facts.percentiles[9]);
+        assert_eq!(json["percentiles"]["99.9"].as_f64().unwrap() as f32, facts.percentiles.unwrap()[9]);
+        assert_eq!(json["values_of"], "all voxels");
         assert_eq!(json["orientation"], serde_json::Value::Null);
         assert_eq!(facts.to_string().lines().count(), 8);
     }

@@ -24,6 +24,44 @@ impl GapRule {
         !self.missing.is_empty() || (is_float && (self.has_gaps || self.mark.is_some()))
     }
 
+    /// A byte a voxel that is not 0 where there is no value; `None` if there is one everywhere.
+    ///
+    /// # Errors
+    /// A voxel has no meaning and is no gap.
+    pub(crate) fn gaps(&self, voxels: &Voxels) -> Result<Option<Vec<u8>>, String> {
+        let gaps: Vec<u8> = match voxels {
+            Voxels::U8(_) | Voxels::U16(_) if self.missing.is_empty() => return Ok(None),
+            Voxels::U8(v) => v.iter().map(|&x| u8::from(self.missing.contains(x.into()))).collect(),
+            Voxels::U16(v) => v.iter().map(|&x| u8::from(self.missing.contains(x.into()))).collect(),
+            // Most files have no gaps, and not a number is not less.
+            Voxels::F32(v)
+                if self.mark.is_none()
+                    && self.missing.is_empty()
+                    && v.iter().all(|x| x.abs() <= Volume::MAX_MAGNITUDE) =>
+            {
+                return Ok(None);
+            }
+            Voxels::F32(v) => {
+                let is_gap = |x: f32| {
+                    let is_marked = (self.has_gaps && !x.is_finite()) || self.mark == Some(x);
+                    is_marked || self.missing.contains(x)
+                };
+                v.iter().map(|&x| u8::from(is_gap(x))).collect()
+            }
+        };
+        if let Voxels::F32(v) = voxels {
+            let is_bad = |x: f32| x.is_nan() || x.abs() > Volume::MAX_MAGNITUDE;
+            let count = v.iter().zip(&gaps).filter(|(x, gap)| **gap == 0 && is_bad(**x)).count();
+            if count > 0 {
+                let most = Volume::MAX_MAGNITUDE;
+                return Err(format!(
+                    "{count} voxels are NaN or infinite or too large, expected at most {most:e}"
+                ));
+            }
+        }
+        Ok(Some(gaps).filter(|gaps| gaps.iter().any(|gap| *gap != 0)))
+    }
+
     /// Marks the gaps of a part of `dims` voxels, and fills them as a whole volume does: with the mean of the voxels
     /// beside them, or else with `elsewhere`. `None` if there are none.
     ///
@@ -35,31 +73,7 @@ impl GapRule {
         dims: [u32; 3],
         elsewhere: f32,
     ) -> Result<Option<Vec<u8>>, String> {
-        let gaps: Vec<u8> = match &*voxels {
-            Voxels::U8(_) | Voxels::U16(_) if self.missing.is_empty() => return Ok(None),
-            Voxels::U8(v) => v.iter().map(|&x| u8::from(self.missing.contains(x.into()))).collect(),
-            Voxels::U16(v) => v.iter().map(|&x| u8::from(self.missing.contains(x.into()))).collect(),
-            Voxels::F32(v) => {
-                let is_gap = |x: f32| {
-                    let is_marked = (self.has_gaps && !x.is_finite()) || self.mark == Some(x);
-                    is_marked || self.missing.contains(x)
-                };
-                v.iter().map(|&x| u8::from(is_gap(x))).collect()
-            }
-        };
-        if let Voxels::F32(v) = &*voxels {
-            let is_bad = |x: f32| x.is_nan() || x.abs() > Volume::MAX_MAGNITUDE;
-            let count = v.iter().zip(&gaps).filter(|(x, gap)| **gap == 0 && is_bad(**x)).count();
-            if count > 0 {
-                let most = Volume::MAX_MAGNITUDE;
-                return Err(format!(
-                    "{count} voxels are NaN or infinite or too large, expected at most {most:e}"
-                ));
-            }
-        }
-        if gaps.iter().all(|gap| *gap == 0) {
-            return Ok(None);
-        }
+        let Some(gaps) = self.gaps(voxels)? else { return Ok(None) };
         if self.is_empty
             && gaps.iter().all(|gap| *gap != 0)
             && let Voxels::F32(v) = voxels
@@ -78,7 +92,7 @@ mod tests {
 
     #[test]
     fn gaps_are_marked_and_filled_from_beside() {
-        let missing = MissingNumbers { numbers: vec![7.0], valid: None };
+        let missing = MissingNumbers { numbers: vec![7.0], ..MissingNumbers::default() };
         let rule = GapRule { has_gaps: true, mark: Some(-9999.0), missing, is_empty: false };
         let numbers = vec![f32::NAN, 1.0, 3.0, -9999.0, 7.0, f32::INFINITY];
         let mut voxels = Voxels::F32(numbers.clone());
@@ -88,7 +102,8 @@ mod tests {
         let mut bytes = Voxels::U8(vec![7, 8, 9]);
         assert_eq!(rule.apply(&mut bytes, [3, 1, 1], 0.0), Ok(Some(vec![1, 0, 0])));
         // Several numbers, and ends of those that are values.
-        let missing = MissingNumbers { numbers: vec![7.0, 9.0], valid: Some((2.0, 20.0)) };
+        let missing =
+            MissingNumbers { numbers: vec![7.0, 9.0], ranges: Vec::new(), valid: Some((2.0, 20.0)) };
         let rule = GapRule { missing, ..GapRule::default() };
         let mut words = Voxels::U16(vec![7, 1, 2, 9, 20, 21]);
         assert!(rule.may_find(&words));

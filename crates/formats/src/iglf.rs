@@ -8,7 +8,6 @@
 //! 3. from version 3: the bounds of the volume (6 × `f32`, the lower corner first), or zeros
 //! 4. for each chunk: its length (`u32`) and its bytes
 
-use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
@@ -19,6 +18,7 @@ use isinglass_core::space::Aabb;
 
 use crate::error::FormatError;
 use crate::output::write_whole;
+use crate::source::open_file;
 
 /// Why a layered frame could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -101,7 +101,16 @@ pub fn read_chunks(path: &Path) -> Result<Vec<Vec<u8>>, IglfError> {
 
 fn read_parts(path: &Path) -> Result<Parts, IglfError> {
     let name = || path.display().to_string();
-    let file = File::open(path).map_err(|cause| IglfError::Io { path: name(), cause })?;
+    let file = open_file(path).map_err(|e| match e {
+        FormatError::Io { cause, .. } => IglfError::Io { path: name(), cause },
+        FormatError::Unsupported { found, expected, .. } => IglfError::Malformed {
+            path: name(),
+            what: "it".into(),
+            found: found.into(),
+            expected: expected.into(),
+        },
+        e => IglfError::Io { path: name(), cause: io::Error::other(e) },
+    })?;
     parts_from_reader(&mut BufReader::new(file)).map_err(|problem| match problem {
         ReadProblem::Io(cause) => IglfError::Io { path: name(), cause },
         ReadProblem::Malformed(what, found, expected) => {

@@ -6,9 +6,11 @@ use std::path::Path;
 use isinglass_core::volume::{Volume, Voxels};
 use rayon::prelude::*;
 
+use crate::dtype::Dtype;
 use crate::error::{FormatError, shown};
 use crate::plan::Plan;
 use crate::reading::Meaning;
+use crate::selection::Region;
 use crate::warning::{Warning, WarningKind};
 
 /// Marks the one channel that was read as labels, if it has them. Returns a word about a guess.
@@ -40,11 +42,9 @@ pub(crate) fn mark_labels(
             are_whole
         }
         None => {
-            let are_labels = plan.dtype.integer_range().is_some() && look_like_labels(volume);
+            let are_labels = look_like_labels(volume, plan.dtype.integer_range().is_none());
             if are_labels {
-                let text =
-                    "few whole numbers in blocks were taken for labels; --voxels values shows them as values";
-                word = Some(Warning::new(WarningKind::Guess, text));
+                word = Some(Warning::new(WarningKind::Guess, TAKEN_FOR_LABELS));
             }
             are_labels
         }
@@ -54,6 +54,27 @@ pub(crate) fn mark_labels(
         volume.info.labels.clear();
     }
     Ok(word)
+}
+
+/// Whether the voxels of all channels are labels, as the person or the file says; `None` if their look decides.
+pub(crate) fn told_labels(plan: &Plan, wish: Option<Meaning>, num_channels: u64) -> Option<bool> {
+    match wish {
+        Some(meaning) => return Some(meaning == Meaning::Labels),
+        None if plan.are_labels || !plan.labels.is_empty() => return Some(true),
+        None => {}
+    }
+    (plan.dtype.integer_range().is_none() || num_channels > 1 || plan.num_joint > 1).then_some(false)
+}
+
+/// The middle of a volume, by whose look labels are told from values in bounded memory.
+pub(crate) fn judged_part(dims: [u64; 3], dtype: Dtype, max_bytes: u64) -> Region {
+    let bytes_each = dtype.num_bytes_in_memory() as u64 + 1;
+    let most = (max_bytes / 4 / bytes_each).min(MOST_JUDGED);
+    let side = ((most as f64).cbrt() as u64).max(1);
+    Region {
+        min: dims.map(|n| (n.saturating_sub(side) / 2) as u32),
+        max: dims.map(|n| Some((n.saturating_sub(side) / 2 + n.min(side)) as u32)),
+    }
 }
 
 /// Whether all values are whole numbers from zero that single precision holds.
@@ -70,19 +91,21 @@ fn are_whole(volume: &Volume) -> bool {
     }
 }
 
-/// Whether a volume of whole numbers looks like labels. There are few of them, zero among them, and nearly all voxels
-/// lie among their like. A coarse scan differs: where its numbers change, they change by one step.
-fn look_like_labels(volume: &Volume) -> bool {
+/// Whether a volume looks like labels. Its numbers are whole and few, zero is among them, and nearly all voxels lie among
+/// their like. A coarse scan differs: where its numbers change, they change by one step. `are_floats` tells of the type
+/// in the file, whose white is one.
+fn look_like_labels(volume: &Volume, are_floats: bool) -> bool {
     let num_voxels = volume.voxels().len();
     let is_plain = volume.value_map().0 == 1.0 && volume.value_range().0 == 0.0;
     if num_voxels < LEAST_VOXELS || !is_plain || !are_whole(volume) {
         return false;
     }
     let Some(few) = Neighbours::of(volume, FEW_PLANES) else { return false };
-    if !few.lie_in_blocks() {
+    if !few.lie_in_blocks(are_floats) {
         return false;
     }
-    Neighbours::of(volume, MANY_PLANES).is_some_and(|all| all.lie_in_blocks() && all.changes_by_leaps())
+    Neighbours::of(volume, MANY_PLANES)
+        .is_some_and(|all| all.lie_in_blocks(are_floats) && all.changes_by_leaps())
 }
 
 /// How often neighbours are alike, in some planes of a volume.
@@ -159,14 +182,15 @@ impl Neighbours {
     }
 
     /// Whether most values lie among their like, and nearly all voxels that are not zero.
-    fn lie_in_blocks(&self) -> bool {
+    fn lie_in_blocks(&self, are_floats: bool) -> bool {
         let others = || self.values.iter().filter(|(value, _)| **value != 0).map(|(_, counts)| counts);
         let num = others().count();
         let share = |[all, alike]: [u64; 2]| alike as f64 / all.max(1) as f64;
         let sum = others().fold([0, 0], |sum: [u64; 2], c| [sum[0] + c[0], sum[1] + c[1]]);
         let num_blocks = others().filter(|c| share(**c) >= LEAST_ALIKE).count();
         // One value beside zero is a label, or the white of a mask.
-        let is_mask = num == 1 && WHITES.iter().any(|white| self.values.contains_key(white));
+        let whites = &WHITES[usize::from(!are_floats)..];
+        let is_mask = num == 1 && whites.iter().any(|white| self.values.contains_key(white));
         num > 0 && !is_mask && share(sum) >= LEAST_ALIKE_IN_ALL && num_blocks * 4 >= num * 3
     }
 
@@ -199,10 +223,16 @@ const MANY_PLANES: usize = 48;
 const LEAST_ALIKE: f64 = 0.5;
 /// The same for all values but zero.
 const LEAST_ALIKE_IN_ALL: f64 = 0.6;
-/// The greatest number of a type, which masks have for white.
-const WHITES: [u32; 4] = [127, 255, 32_767, 65_535];
+/// What masks have for white: one among floats, and the greatest number of a type.
+const WHITES: [u32; 5] = [1, 127, 255, 32_767, 65_535];
 /// So few values may all touch each other in their order.
 const FEW_VALUES: usize = 5;
+
+/// Most voxels that are looked at to tell labels from values.
+const MOST_JUDGED: u64 = 512 * 512 * 512;
+/// What is said of a guess.
+pub(crate) const TAKEN_FOR_LABELS: &str =
+    "few whole numbers in blocks were taken for labels; --voxels values shows them as values";
 
 #[cfg(test)]
 mod tests {
@@ -210,6 +240,10 @@ mod tests {
     use isinglass_core::volume::VolumeInfo;
 
     use super::*;
+
+    fn are_labels(volume: &Volume) -> bool {
+        look_like_labels(volume, false)
+    }
 
     const SIDE: usize = 40;
 
@@ -237,25 +271,21 @@ mod tests {
                 at.iter().zip([1.0, 2.0, 4.0]).map(|(x, bit)| if *x < 0.0 { bit } else { 0.0 }).sum();
             if radius(at) < 15.0 { 10.0 + 100.0 * corner } else { 0.0 }
         };
-        assert!(look_like_labels(&volume(parts)));
-        assert!(look_like_labels(&volume(|at| [2.0, 1.0, 0.0][(radius(at) / 8.0).min(2.0) as usize])));
-        assert!(look_like_labels(&volume(|at| f32::from(radius(at) < 9.0))));
-        assert!(look_like_labels(&volume(|at| 10.0 * f32::from(radius(at) < 9.0))));
-        assert!(look_like_labels(&volume(|at| if (8.0..11.0).contains(&radius(at)) {
-            7.0
-        } else {
-            parts(at)
-        })));
+        assert!(are_labels(&volume(parts)));
+        assert!(are_labels(&volume(|at| [2.0, 1.0, 0.0][(radius(at) / 8.0).min(2.0) as usize])));
+        assert!(are_labels(&volume(|at| f32::from(radius(at) < 9.0))));
+        assert!(are_labels(&volume(|at| 10.0 * f32::from(radius(at) < 9.0))));
+        assert!(are_labels(&volume(|at| if (8.0..11.0).contains(&radius(at)) { 7.0 } else { parts(at) })));
     }
 
     #[test]
     fn scans_are_no_labels() {
         // A mask with a soft edge, noise of three levels, a coarse smooth scan, and a microscope's black and white.
-        assert!(!look_like_labels(&volume(|at| (255.0 - 40.0 * (radius(at) - 9.0)).clamp(0.0, 255.0))));
-        assert!(!look_like_labels(&volume(|at| (noise(at) * 3.0).floor())));
-        assert!(!look_like_labels(&volume(|at| (20.0 - radius(at)).max(0.0).floor())));
-        assert!(!look_like_labels(&volume(|at| ((20.0 - radius(at)) / 2.5).max(0.0).floor())));
-        assert!(!look_like_labels(&volume(|at| if radius(at) < 9.0 { 255.0 } else { 0.0 })));
-        assert!(!look_like_labels(&volume(|at| 100.0 * noise(at) + 1000.0 * f32::from(radius(at) < 9.0))));
+        assert!(!are_labels(&volume(|at| (255.0 - 40.0 * (radius(at) - 9.0)).clamp(0.0, 255.0))));
+        assert!(!are_labels(&volume(|at| (noise(at) * 3.0).floor())));
+        assert!(!are_labels(&volume(|at| (20.0 - radius(at)).max(0.0).floor())));
+        assert!(!are_labels(&volume(|at| ((20.0 - radius(at)) / 2.5).max(0.0).floor())));
+        assert!(!are_labels(&volume(|at| if radius(at) < 9.0 { 255.0 } else { 0.0 })));
+        assert!(!are_labels(&volume(|at| 100.0 * noise(at) + 1000.0 * f32::from(radius(at) < 9.0))));
     }
 }

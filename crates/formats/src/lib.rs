@@ -15,6 +15,7 @@
 mod alike;
 mod axes;
 mod builtin;
+mod cf;
 mod channel_looks;
 mod channels;
 mod chunk_cache;
@@ -27,7 +28,9 @@ mod dicom;
 mod dtype;
 mod error;
 mod facts;
+mod facts_of_file;
 mod file_list;
+mod first_look;
 mod foreign;
 mod gap_rule;
 mod hdf5;
@@ -41,6 +44,7 @@ mod metaimage;
 mod mgh;
 pub mod movie;
 mod mrc;
+mod netcdf;
 mod nifti;
 mod npy;
 mod nrrd;
@@ -51,6 +55,7 @@ mod packed;
 mod padding;
 mod paged;
 mod plan;
+mod planes;
 pub mod png;
 mod png_stack;
 mod presets;
@@ -61,12 +66,14 @@ mod reading;
 mod recent;
 mod remembered;
 mod scene;
+mod scratch;
 mod selection;
 mod settings;
 mod sniff;
 mod source;
 mod state;
 mod stream;
+mod surroundings;
 mod tiff;
 mod transfer;
 mod transfer_import;
@@ -79,6 +86,7 @@ mod vti;
 mod vtk;
 mod warning;
 mod web;
+mod web_reach;
 mod xml;
 mod zarr;
 mod zip;
@@ -88,21 +96,28 @@ pub use content::{Content, content_of};
 pub use convert::{Conversion, Converted};
 pub use dtype::{Dtype, Endian};
 pub use error::{FormatError, HeaderError};
-pub use facts::{PERCENTILES, VolumeFacts};
+pub use facts::{PERCENTILES, ValuesOf, VolumeFacts};
+pub use facts_of_file::facts_at_once;
+pub use first_look::default_transfer;
 pub use loading::{LoadRequest, Loading};
 pub use outline::{Level, Outline, PageCount};
-pub use output::{check_writable, remove_leftovers, write_new, write_whole};
-pub use paged::{PageIndex, PageIndexBuilder, PagedFile, open_paged, page_count};
-pub use presets::{default_preset, default_transfer, fitting_presets, preset, preset_names};
+pub use output::{
+    check_writable, make_private_folder, remove_leftovers, write_new, write_new_private, write_private,
+    write_whole,
+};
+pub use paged::{BuiltIndex, PageIndex, PageIndexBuilder, PagedFile, open_paged, page_count};
+pub use presets::{default_preset, fitting_presets, preset, preset_names};
 pub use raw::RawShape;
 pub use reading::{Meaning, Reading};
 pub use recent::{Recent, RecentEntry, RecentPlace};
 pub use remembered::Remembered;
 pub use scene::{OpenedScene, open_scene, scene_of};
+pub use scratch::{before_scratch, remove_scratch};
 pub use selection::{Flip, Region, Selection};
 pub use settings::{Setting, SettingValue, read_settings, settings_from_toml};
 pub use source::{
-    ChannelNumbers, LEAST_FOR_PAGES, OpenOptions, finest_numbers, open, outline, source_exists,
+    ChannelNumbers, LEAST_FOR_PAGES, OpenOptions, finest_numbers, open, open_file, outline, read_text,
+    source_exists,
 };
 pub use state::{
     MAX_LINK_BYTES, MAX_MEASURE_POINTS, MAX_MEASURES, MAX_STATE_BYTES, MAX_VIEWS, MeasureKind, NamedView,

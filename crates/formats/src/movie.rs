@@ -10,7 +10,7 @@ use std::time::Duration;
 use tempfile::NamedTempFile;
 
 use crate::error::{FormatError, io_error};
-use crate::output::{file_beside, folder_of, remove_leftovers, resolved};
+use crate::output::{Readers, file_beside, folder_of, remove_leftovers, resolved};
 use crate::png::Rgb8;
 
 /// The form of a movie.
@@ -72,7 +72,7 @@ impl MovieWriter {
         let failed = io_error(path);
         let path = &resolved(path);
         remove_leftovers(folder_of(path));
-        let Some(file) = file_beside(path).map_err(&failed)? else {
+        let Some(file) = file_beside(path, Readers::OfUmask).map_err(&failed)? else {
             return Err(failed(io::Error::other("a movie needs a file of its own")));
         };
         let encoder = begin(&file, form, size, num_pictures, interval).map_err(&failed)?;

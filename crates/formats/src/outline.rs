@@ -87,6 +87,9 @@ pub struct PageCount {
     pub levels: u32,
     /// Pages of the finest level.
     pub finest: u64,
+    /// Bytes of memory that it takes to read the coarsest level, before any page is read.
+    #[serde(skip)]
+    pub bytes_to_open: u64,
 }
 
 /// One level of a pyramid.
@@ -102,6 +105,12 @@ impl Outline {
     /// Bytes of memory that are needed to open the volume: the larger of the needs during and after reading.
     pub fn bytes_needed(&self) -> u64 {
         self.bytes_in_memory.max(self.bytes_while_reading)
+    }
+
+    /// Bytes that are needed beside another volume, until that makes room: all of them, or those of the coarsest level of
+    /// one that is read by pages.
+    pub fn bytes_beside(&self) -> u64 {
+        self.pages.map_or_else(|| self.bytes_needed(), |pages| pages.bytes_to_open)
     }
 }
 
@@ -128,7 +137,7 @@ impl fmt::Display for Outline {
             let mark = if i as u32 == self.level { " (shown)" } else { "" };
             writeln!(f, "  level {i:<6} {}, spacing {x} × {y} × {z}{mark}", sides(&level.dims))?;
         }
-        if let Some(PageCount { levels, finest }) = self.pages {
+        if let Some(PageCount { levels, finest, .. }) = self.pages {
             let levels = if levels == 1 { "1 level".to_owned() } else { format!("{levels} levels") };
             writeln!(f, "  by pages     {finest} of 64 × 64 × 64 in the finest of {levels}")?;
         }

@@ -15,13 +15,44 @@ use crate::error::{FormatError, io_error};
 /// # Errors
 /// If the system refuses. The old file then stays, and no other is left.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FormatError> {
-    let write = |path: PathBuf| {
-        let Some(mut file) = file_beside(&path)? else { return fs::write(&path, bytes) };
-        file.write_all(bytes)?;
-        file.as_file().sync_all()?;
-        file.persist(&path).map(drop).map_err(|e| e.error)
+    let write = |path: PathBuf| match file_beside(&path, Readers::OfUmask)? {
+        Some(file) => replace(file, &path, bytes),
+        None => fs::write(&path, bytes),
     };
     write(resolved(path)).map_err(io_error(path))
+}
+
+/// Writes a file of the program itself, as [`write_whole`] does, but only its owner can read it. Its folder is made if it
+/// is missing, for the owner alone.
+///
+/// # Errors
+/// If the system refuses, or the path is a folder, a device or a pipe. The old file then stays, and no other is left.
+pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), FormatError> {
+    let write = |path: PathBuf| {
+        make_private_folder(folder_of(&path))?;
+        let file = file_beside(&path, Readers::Owner)?.ok_or(ErrorKind::InvalidInput)?;
+        replace(file, &path, bytes)?;
+        sync_folder(folder_of(&path))
+    };
+    write(resolved(path)).map_err(io_error(path))
+}
+
+/// Makes a folder and those above it, as far as they are missing, for their owner alone.
+///
+/// # Errors
+/// If the system refuses.
+pub fn make_private_folder(folder: &Path) -> io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(folder)
+}
+
+fn replace(mut file: NamedTempFile<File>, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    file.write_all(bytes)?;
+    file.as_file().sync_all()?;
+    file.persist(path).map(drop).map_err(|e| e.error)
 }
 
 /// Writes `bytes` to a file. They are on the disk when this returns, so that a power cut loses none of them.
@@ -63,8 +94,21 @@ pub(crate) fn sync_folder(_: &Path) -> io::Result<()> {
 /// # Errors
 /// [`ErrorKind::AlreadyExists`] if there is such a file, and whatever else the system refuses. No part of it stays.
 pub fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    write_new_for(Readers::OfUmask, path, bytes)
+}
+
+/// The same for a file that only its owner can read.
+///
+/// # Errors
+/// As [`write_new`].
+pub fn write_new_private(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    write_new_for(Readers::Owner, path, bytes)?;
+    sync_folder(folder_of(path))
+}
+
+fn write_new_for(readers: Readers, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let found = fs::symlink_metadata(path).is_ok();
-    let Some(mut file) = (if found { None } else { file_beside(path)? }) else {
+    let Some(mut file) = (if found { None } else { file_beside(path, readers)? }) else {
         return Err(ErrorKind::AlreadyExists.into());
     };
     file.write_all(bytes)?;
@@ -74,8 +118,13 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
         Err(e) if e.error.kind() == ErrorKind::AlreadyExists => Err(e.error),
         // Some file systems cannot rename without replacing.
         Err(_) => {
-            let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
-            file.write_all(bytes).inspect_err(|_| drop(fs::remove_file(path)))
+            let mut options = OpenOptions::new();
+            options.write(true).create_new(true);
+            #[cfg(unix)]
+            std::os::unix::fs::OpenOptionsExt::mode(&mut options, readers.mode());
+            let mut file = options.open(path)?;
+            let written = file.write_all(bytes).and_then(|()| file.sync_all());
+            written.inspect_err(|_| drop(fs::remove_file(path)))
         }
     }
 }
@@ -104,7 +153,26 @@ pub fn remove_leftovers(folder: &Path) {
 /// # Errors
 /// If the path is a folder, or its folder takes no files.
 pub fn check_writable(path: &Path) -> Result<(), FormatError> {
-    file_beside(&resolved(path)).map(drop).map_err(io_error(path))
+    file_beside(&resolved(path), Readers::OfUmask).map(drop).map_err(io_error(path))
+}
+
+/// Who can read a new file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Readers {
+    /// Those whom the umask allows: the user has named the file.
+    OfUmask,
+    /// The file belongs to the program.
+    Owner,
+}
+
+impl Readers {
+    #[cfg(unix)]
+    fn mode(self) -> u32 {
+        match self {
+            Self::OfUmask => 0o666,
+            Self::Owner => 0o600,
+        }
+    }
 }
 
 /// The file that a link names.
@@ -114,7 +182,7 @@ pub(crate) fn resolved(path: &Path) -> PathBuf {
 
 /// A temporary file in the folder of `path`, deleted unless it is kept; `None` if `path` is a device or pipe. It is
 /// locked, so that [`remove_leftovers`] knows it from one whose program was killed.
-pub(crate) fn file_beside(path: &Path) -> io::Result<Option<NamedTempFile<File>>> {
+pub(crate) fn file_beside(path: &Path, readers: Readers) -> io::Result<Option<NamedTempFile<File>>> {
     match fs::metadata(path) {
         Ok(found) if found.is_dir() => return Err(ErrorKind::IsADirectory.into()),
         Ok(found) if !found.is_file() => return Ok(None),
@@ -122,9 +190,10 @@ pub(crate) fn file_beside(path: &Path) -> io::Result<Option<NamedTempFile<File>>
     }
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
-    // A temporary file is its owner's alone by default; this one becomes a file like any other, by the umask.
     #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(readers.mode()));
+    #[cfg(not(unix))]
+    let _ = readers;
     let file = builder.tempfile_in(folder_of(path))?;
     // Some file systems have no locks. There, leftovers stay.
     let _ = file.as_file().try_lock();
@@ -139,7 +208,7 @@ pub(crate) fn folder_of(path: &Path) -> &Path {
 pub(crate) const PREFIX: &str = ".isinglass-";
 pub(crate) const SUFFIX: &str = ".part";
 /// By this age, the writer has locked its file.
-const LOCKED_AFTER: Duration = Duration::from_secs(3);
+pub(crate) const LOCKED_AFTER: Duration = Duration::from_secs(3);
 
 #[cfg(test)]
 mod tests {
@@ -184,7 +253,7 @@ mod tests {
     fn what_a_killed_program_leaves_is_removed_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("movie.gif");
-        let new = || file_beside(&path).unwrap().unwrap();
+        let new = || file_beside(&path, Readers::OfUmask).unwrap().unwrap();
         let age = |file: &File| file.set_modified(std::time::SystemTime::now() - LOCKED_AFTER * 2).unwrap();
         // A killed program deletes nothing, but its locks end.
         let left = new().keep().unwrap();
@@ -220,5 +289,30 @@ mod tests {
         assert_eq!(permissions(&target), permissions(&plain));
         write_whole(Path::new("/dev/null"), b"x").unwrap();
         assert!(!fs::metadata("/dev/null").unwrap().is_file(), "a device is not replaced");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn files_of_the_program_are_their_owners_alone() {
+        use std::os::unix::fs::PermissionsExt;
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("state/isinglass");
+        let [private, new, plain] = ["recent.toml", "identity", "a.png"].map(|name| folder.join(name));
+        write_private(&private, b"1").unwrap();
+        write_new_private(&new, b"key").unwrap();
+        write_whole(&plain, b"2").unwrap();
+        assert_eq!((mode(&private), mode(&new)), (0o600, 0o600));
+        assert_eq!((mode(&folder), mode(folder.parent().unwrap())), (0o700, 0o700));
+        // The control: what the user names has the umask's mode.
+        fs::write(folder.join("usual"), "").unwrap();
+        assert_eq!(mode(&plain), mode(&folder.join("usual")));
+        // A file of an older version is closed at the next writing.
+        fs::set_permissions(&private, PermissionsExt::from_mode(0o644)).unwrap();
+        write_private(&private, b"3").unwrap();
+        assert_eq!((mode(&private), fs::read(&private).unwrap()), (0o600, b"3".to_vec()));
+        assert!(write_private(Path::new("/dev/null"), b"x").is_err());
+        assert_eq!(write_new_private(&new, b"x").unwrap_err().kind(), ErrorKind::AlreadyExists);
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 4, "nothing else is left");
     }
 }

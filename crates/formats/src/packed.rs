@@ -1,16 +1,15 @@
 //! Files in gzip, and archives of files. They are unpacked into a temporary folder and opened there, like any other.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Component, Path, PathBuf};
-
-use tempfile::TempDir;
 
 use crate::collector::Collector;
 use crate::error::{FormatError, io_error, malformed, quoted, shown};
 use crate::plan::{Plan, VolumeFile};
+use crate::scratch::ScratchFolder;
 use crate::sniff::{self, FileKind};
-use crate::source::{OpenOptions, open_path};
+use crate::source::{OpenOptions, open_path, read_start};
 use crate::stream::{Packing, Unpacked};
 use crate::{nifti, npy, zip};
 
@@ -19,7 +18,7 @@ struct PackedFile {
     inner: Box<dyn VolumeFile>,
     /// The file as the user named it.
     path: PathBuf,
-    folder: TempDir,
+    folder: ScratchFolder,
 }
 
 impl VolumeFile for PackedFile {
@@ -28,7 +27,7 @@ impl VolumeFile for PackedFile {
     }
 
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
-        self.inner.read(collector).map_err(|e| e.named_within(self.folder.path(), &self.path))
+        self.inner.read(collector).map_err(|e| e.named_within(&self.folder.path(), &self.path))
     }
 }
 
@@ -66,12 +65,13 @@ pub(crate) fn open_gzip(
         }
         _ => {}
     }
-    let folder = temporary(path)?;
-    let target = folder.path().join(name.file_name().unwrap_or(path.as_os_str()));
+    let io = io_error(path);
+    let mut folder = ScratchFolder::new().map_err(io)?;
+    let name = Path::new(name.file_name().unwrap_or(path.as_os_str()));
     let mut left = options.max_bytes;
     let mut stream = Unpacked::open(file, path, 0, None, Packing::Gzip)?;
-    unpack(&mut stream, &target, &mut left, path, options)?;
-    opened(&target, path, folder, options)
+    unpack(&mut stream, folder.file(name, true).map_err(io)?, &mut left, path, options)?;
+    opened(&folder.path().join(name), path, folder, options)
 }
 
 /// Opens the archive at `path`: arrays of NumPy, or a file or folder of any format.
@@ -86,11 +86,14 @@ pub(crate) fn open_zip(
         return Ok(Box::new(npy::NpyFile::open_archive(file, path, options)?));
     }
     file.seek(SeekFrom::Start(0)).map_err(io_error(path))?;
-    let folder = temporary(path)?;
+    let io = io_error(path);
+    let mut folder = ScratchFolder::new().map_err(io)?;
     let mut left = options.max_bytes;
     let mut files = Vec::new();
-    for entry in zip::entries(file, path, "", MAX_FILES)? {
-        let Some(target) = inner_path(&entry.name).map(|name| folder.path().join(name)) else { continue };
+    let entries = zip::entries(file, path, "", MAX_FILES)?;
+    let are_few = entries.len() <= MAX_NAMELESS;
+    for entry in entries {
+        let Some(name) = inner_path(&entry.name) else { continue };
         let packing = match entry.method {
             0 => Packing::Plain,
             8 => Packing::Deflate,
@@ -106,13 +109,11 @@ pub(crate) fn open_zip(
             Some(entry.packed_bytes),
             packing,
         )?;
-        if let Some(parent) = target.parent() {
-            fs::create_dir_all(parent).map_err(io_error(path))?;
-        }
         // A plain stream goes on to the end of the archive.
         let most = if packing == Packing::Plain { entry.packed_bytes } else { u64::MAX };
-        unpack(&mut Read::take(&mut stream, most), &target, &mut left, path, options)?;
-        files.push(target);
+        let target = folder.file(&name, are_few).map_err(io)?;
+        unpack(&mut Read::take(&mut stream, most), target, &mut left, path, options)?;
+        files.push(folder.path().join(name));
     }
     let target = match &files[..] {
         [] => {
@@ -140,24 +141,17 @@ pub(crate) fn open_zip(
 }
 
 fn is_zip(path: &Path) -> bool {
-    let mut start = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(sniff::SNIFFED_BYTES).read_to_end(&mut start));
-    read.is_ok() && matches!(sniff::kind_of(&start, path), FileKind::Zip)
-}
-
-/// A temporary folder for what is unpacked of `path`.
-fn temporary(path: &Path) -> Result<TempDir, FormatError> {
-    tempfile::tempdir().map_err(io_error(path))
+    read_start(path).is_some_and(|start| matches!(sniff::kind_of(&start, path), FileKind::Zip))
 }
 
 /// The file or folder at `target`, which was unpacked from `path`.
 fn opened(
     target: &Path,
     path: &Path,
-    folder: TempDir,
+    folder: ScratchFolder,
     options: &OpenOptions,
 ) -> Result<Box<dyn VolumeFile>, FormatError> {
-    let inner = open_path(target, options).map_err(|e| e.named_within(folder.path(), path))?;
+    let inner = open_path(target, options).map_err(|e| e.named_within(&folder.path(), path))?;
     Ok(Box::new(PackedFile { inner, path: path.to_owned(), folder }))
 }
 
@@ -180,13 +174,11 @@ fn inner_path(name: &str) -> Option<PathBuf> {
 /// Writes all of `stream` to `target`. `left` are the bytes that may still be unpacked of `path`.
 fn unpack(
     stream: &mut dyn Read,
-    target: &Path,
+    mut target: File,
     left: &mut u64,
     path: &Path,
     options: &OpenOptions,
 ) -> Result<(), FormatError> {
-    let io = io_error(path);
-    let mut file = File::create(target).map_err(io)?;
     let mut chunk = Vec::new();
     loop {
         options.check_cancelled(path)?;
@@ -203,8 +195,9 @@ fn unpack(
             path: shown(path),
             needed: options.max_bytes.saturating_add(1),
             limit: options.max_bytes,
+            advice: "",
         })?;
-        file.write_all(&chunk).map_err(io)?;
+        target.write_all(&chunk).map_err(io_error(path))?;
     }
 }
 
@@ -212,6 +205,8 @@ fn unpack(
 const CHUNK_BYTES: u64 = 1 << 20;
 /// Most files of an archive.
 const MAX_FILES: usize = 1 << 17;
+/// Most files of an archive that are unpacked without a name, because each stays open.
+const MAX_NAMELESS: usize = 64;
 
 #[cfg(test)]
 mod tests {

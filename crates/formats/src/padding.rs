@@ -10,6 +10,8 @@ use crate::units::may_be_hounsfield;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Missing {
     pub(crate) values: Vec<f64>,
+    /// Least and greatest value of parts in which no value is one.
+    pub(crate) ranges: Vec<(f64, f64)>,
     /// The least and the greatest value that is one.
     pub(crate) valid: Option<(f64, f64)>,
     /// What such voxels are, for the warning.
@@ -18,7 +20,7 @@ pub(crate) struct Missing {
 
 impl Default for Missing {
     fn default() -> Self {
-        Self { values: Vec::new(), valid: None, what: "outside of the scanned part" }
+        Self { values: Vec::new(), ranges: Vec::new(), valid: None, what: "outside of the scanned part" }
     }
 }
 
@@ -46,6 +48,8 @@ impl GapNumbers {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MissingNumbers {
     pub(crate) numbers: Vec<f32>,
+    /// Least and greatest number of parts in which no number is a value.
+    pub(crate) ranges: Vec<(f32, f32)>,
     /// The least and the greatest number that is a value.
     pub(crate) valid: Option<(f32, f32)>,
 }
@@ -53,11 +57,13 @@ pub(crate) struct MissingNumbers {
 impl MissingNumbers {
     /// Whether no number is missing.
     pub(crate) fn is_empty(&self) -> bool {
-        self.numbers.is_empty() && self.valid.is_none()
+        self.numbers.is_empty() && self.ranges.is_empty() && self.valid.is_none()
     }
 
     pub(crate) fn contains(&self, number: f32) -> bool {
-        self.numbers.contains(&number) || self.valid.is_some_and(|(lo, hi)| number < lo || number > hi)
+        self.numbers.contains(&number)
+            || self.ranges.iter().any(|(lo, hi)| (*lo..=*hi).contains(&number))
+            || self.valid.is_some_and(|(lo, hi)| number < lo || number > hi)
     }
 }
 
@@ -72,15 +78,18 @@ pub(crate) fn without_padding(mut volume: Volume, told: &Missing) -> (Volume, Mi
         (if is_integer { stored.round() } else { stored }) as f32
     };
     let mut numbers: Vec<f32> = told.values.iter().map(|value| stored_of(*value)).collect();
-    let valid = told.valid.map(|ends| (stored_of(ends.0), stored_of(ends.1)));
-    let valid = valid.map(|(a, b)| (a.min(b), a.max(b)));
-    let is_told = !told.values.is_empty() || told.valid.is_some();
+    let both = |ends: (f64, f64)| {
+        let (a, b) = (stored_of(ends.0), stored_of(ends.1));
+        (a.min(b), a.max(b))
+    };
+    let (valid, ranges) = (told.valid.map(both), told.ranges.iter().copied().map(both).collect());
+    let is_told = !told.values.is_empty() || !told.ranges.is_empty() || told.valid.is_some();
     if !is_told && may_be_hounsfield(lo, hi) && volume.gaps().is_none() {
         let stored = stored_of(f64::from(lo));
         let is_circle = OF_CT.contains(&lo) && is_apart(&volume, stored, f64::from(scale));
         numbers.extend(is_circle.then_some(stored));
     }
-    let missing = MissingNumbers { numbers, valid };
+    let missing = MissingNumbers { numbers, ranges, valid };
     if missing.is_empty() {
         return (volume, missing);
     }
@@ -99,8 +108,13 @@ pub(crate) fn without_padding(mut volume: Volume, told: &Missing) -> (Volume, Mi
     volume = volume.with_gaps(gaps);
     let num = volume.gaps().map_or(0, |gaps| gaps.num_gaps) - had;
     if num > 0 {
-        let value = match (&missing.numbers[..], valid) {
-            ([stored], None) => format!("{}, ", stored * scale + offset),
+        let value = |stored: f32| stored * scale + offset;
+        let value = match (&missing.numbers[..], &missing.ranges[..], valid) {
+            ([stored], [], None) => format!("{}, ", value(*stored)),
+            ([], [(a, b)], None) => {
+                let (a, b) = (value(*a), value(*b));
+                format!("{} to {}, ", a.min(b), a.max(b))
+            }
             _ => String::new(),
         };
         let text = format!("{num} voxels are {value}{}; nothing is shown there", told.what);
@@ -156,7 +170,10 @@ mod tests {
         let tissue = |i: u32| -1000.0 + (i % 100) as f32 * 20.0;
         for outside in OF_CT {
             let (found, missing) = without_padding(ct(outside, tissue), &Missing::default());
-            assert_eq!(missing, MissingNumbers { numbers: vec![outside + 4000.0], valid: None });
+            assert_eq!(
+                missing,
+                MissingNumbers { numbers: vec![outside + 4000.0], ..MissingNumbers::default() }
+            );
             assert_eq!(found.gaps().map(|g| g.num_gaps), Some(300), "{outside}");
             assert_eq!(found.value_range().0, -1000.0);
             assert!(found.info.warnings[0].contains(&outside.to_string()));
@@ -169,11 +186,22 @@ mod tests {
             without_padding(ct(-1010.0, tissue), &Missing { values: vec![-1010.0], ..Missing::default() });
         assert_eq!(told.gaps().map(|g| g.num_gaps), Some(300));
         // Several values, and ends of those that are valid.
-        let several = Missing { values: vec![-1010.0, -1000.0], valid: Some((-2e9, 979.0)), what: "missing" };
+        let several = Missing {
+            values: vec![-1010.0, -1000.0],
+            valid: Some((-2e9, 979.0)),
+            what: "missing",
+            ..Missing::default()
+        };
         let (found, missing) = without_padding(ct(-1010.0, tissue), &several);
         assert_eq!(found.gaps().map(|g| g.num_gaps), Some(300 + 7 + 7));
         assert_eq!(found.value_range(), (-980.0, 960.0));
         assert_eq!(missing.numbers, [2990.0, 3000.0]);
         assert_eq!([2990.0, 2995.0, 4979.0, 4980.0].map(|x| missing.contains(x)), [true, false, false, true]);
+        // A range of values, and its end in the warning.
+        let range = Missing { ranges: vec![(-1010.0, -981.0)], ..Missing::default() };
+        let (found, missing) = without_padding(ct(-1010.0, tissue), &range);
+        assert_eq!((found.gaps().map(|g| g.num_gaps), found.value_range().0), (Some(307), -980.0));
+        assert_eq!(missing.ranges, [(2990.0, 3019.0)]);
+        assert!(found.info.warnings[0].contains("307 voxels are -1010 to -981, "));
     }
 }

@@ -146,6 +146,22 @@ impl Plan {
         self.warnings.push(Warning::new(kind, text));
     }
 
+    /// Notes the descriptions of the arrays of a file, if there are several. `chosen` is the one that the user chose.
+    pub(crate) fn set_series(&mut self, names: Vec<String>, usual: usize, chosen: Option<u32>) {
+        if names.len() < 2 {
+            return;
+        }
+        if chosen.is_none() {
+            let text = format!(
+                "the file has {} arrays, of which the largest is shown: {}",
+                names.len(),
+                names[usual]
+            );
+            self.warn(WarningKind::Choice, text);
+        }
+        (self.series, self.usual_series) = (names, usual as u32);
+    }
+
     /// Makes the channels the colours of a picture: red, green, blue and perhaps opacity, which is not shown with them.
     pub(crate) fn set_colors(&mut self) {
         let n = self.channels();
@@ -501,9 +517,20 @@ pub(crate) trait BoxReader: Send + Sync {
     /// The numbers that are selected along each axis of the plan, the fastest first.
     fn read(&self, selected: &[Steps]) -> Result<VoxelSink, FormatError>;
 
+    /// The same in the type of the file, little-endian. A reader that does not have its bytes gives wide numbers as exact
+    /// as single precision is.
+    fn read_numbers(&self, selected: &[Steps]) -> Result<Vec<u8>, FormatError> {
+        self.read(selected).map(VoxelSink::into_numbers)
+    }
+
     /// Parts of the file that are not there and have their fill value, as far as they were met.
     fn num_absent(&self) -> u64 {
         0
+    }
+
+    /// A warning about parts of the file that are not there, if that can be told without reading them.
+    fn absence(&self) -> Option<String> {
+        None
     }
 
     /// A word about what reading a page costs, if that is much.

@@ -1,13 +1,13 @@
 //! The built-in transfer functions, and the choice of one for a volume.
 
 use isinglass_core::space::are_of_body;
-use isinglass_core::transfer::{Domain, TransferFunction};
+use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::procedural::Builtin;
 use isinglass_core::volume::{Histogram, Volume};
 
-use crate::channel_looks::{ChannelColors, in_color, of_channel, of_labels, of_pixels};
+use crate::surroundings::{MatterSide, Sides, Surroundings};
 use crate::transfer::transfer_from_toml;
-use crate::units::may_be_hounsfield;
+use crate::units::{length_unit, may_be_hounsfield};
 
 /// The preset with this name.
 pub fn preset(name: &str) -> Option<TransferFunction> {
@@ -35,155 +35,82 @@ pub fn fitting_presets(name: &str, (lo, hi): (f32, f32)) -> impl Iterator<Item =
     })
 }
 
-const SIGNED: &str = "signed";
+pub(crate) const SIGNED: &str = "signed";
+pub(crate) const DARK: &str = "dark";
 const OF_HOUNSFIELD_UNITS: [&str; 4] = ["ct-body", "ct-bone", "ct-lung", "ct-vessels"];
 
 /// The initial preset for a volume that is opened from `source`. Built-in volumes have their own, and CT and MR use
 /// the one of their modality. Other volumes are judged by their voxels, never by their names. `histogram` must be
 /// that of the volume.
 pub fn default_preset(source: &str, volume: &Volume, histogram: &Histogram) -> &'static str {
+    let surroundings = Surroundings::of(volume, histogram, &Sides::of(volume));
+    preset_within(source, volume, histogram, surroundings.as_ref())
+}
+
+/// The same for a volume with these surroundings, if they are known.
+pub(crate) fn preset_within(
+    source: &str,
+    volume: &Volume,
+    histogram: &Histogram,
+    surroundings: Option<&Surroundings>,
+) -> &'static str {
     let builtin =
         source.strip_prefix("builtin:").map(|name| name.split_once('@').map_or(name, |(kind, _)| kind));
     match builtin.and_then(Builtin::from_name) {
-        Some(Builtin::Cloud) => "cloud",
-        Some(Builtin::Cubus) => "cubus",
-        Some(Builtin::Shells) => "shells",
-        None => {
-            of_values(volume, histogram).unwrap_or_else(|| match Statistics::of(volume, histogram).preset() {
-                // A volume with an orientation shows a body, not a plant or a stone.
-                "ct" if are_of_body(volume.info.orientation.as_deref()) => "ct-windowed",
-                name => name,
-            })
+        Some(Builtin::Cloud) => return "cloud",
+        Some(Builtin::Cubus) => return "cubus",
+        Some(Builtin::Shells) => return "shells",
+        None => {}
+    }
+    let of_values = of_values(volume, histogram, surroundings);
+    of_values.unwrap_or_else(|| {
+        let name = Statistics::of(volume, histogram).preset();
+        match name {
+            // A body is no plant and no stone, and its scanner no microscope.
+            "ct" if is_body(volume) => "ct-windowed",
+            "fluorescence" | "industrial" | "smooth" if is_body(volume) => "mri",
+            name => name,
         }
-    }
+    })
 }
 
-/// [`default_preset`] as a transfer function, with the window of the file if it has one. A scanned thing often stands in
-/// resin or gel, which would hide it: then the domain begins so high that the outermost voxels are clear.
-pub fn default_transfer(source: &str, volume: &Volume, histogram: &Histogram) -> TransferFunction {
-    match of_channel(0, volume) {
-        Some(ChannelColors::Labels) => of_labels(),
-        Some(ChannelColors::Plain(color)) => in_color(of_quantities(source, volume, histogram), color),
-        Some(ChannelColors::OfPixels(color)) => of_pixels(volume, color),
-        None => of_quantities(source, volume, histogram),
-    }
-}
-
-/// The same for quantities in one channel.
-pub(crate) fn of_quantities(source: &str, volume: &Volume, histogram: &Histogram) -> TransferFunction {
-    let name = default_preset(source, volume, histogram);
-    let mut transfer = preset(name).expect("the default is one of the presets");
-    let (from, to) = match transfer.domain {
-        Domain::Full => (0.0, 100.0),
-        Domain::Percentiles(from, to) => (from, to),
-        Domain::Values(..) | Domain::AboutZero(_) => return transfer,
-    };
-    let (mut lo, mut hi) = (histogram.percentile(from), histogram.percentile(to));
-    // A window that shows nearly nothing or all as white is no good beginning.
-    let share = |value: f32| histogram.share_above(value);
-    if let Some((black, white)) = volume.info.window
-        && share(black) > FEWEST_SHOWN
-        && share(white) < MOST_WHITE
-    {
-        (lo, hi) = (black, white);
-        transfer.domain = Domain::Values(lo, hi);
-    }
-    let clear_below = transfer.points[0].x;
-    let begins_at = |surroundings: f32| {
-        let begin = (surroundings - clear_below * hi) / (1.0 - clear_below);
-        (begin > lo && begin < hi).then_some(begin)
-    };
-    let sides = Sides::of(volume);
-    let uniform = sides.uniform(0.2 * (hi - lo));
-    // A background that is already clear stays as it is.
-    let veil = uniform.filter(|value| value - lo > (clear_below + 0.1) * (hi - lo)).and_then(begins_at);
-    let block = || {
-        let is_block = sides.opaque_share(&transfer, (lo, hi)) > MOST_OPAQUE;
-        let highest = sides.percentile(0.98);
-        begins_at(highest).filter(|_| is_block && share(highest) > FEWEST_SHOWN)
-    };
-    if let Some(begin) = veil.or_else(block) {
-        transfer.domain = Domain::Values(begin, hi);
-    }
-    transfer
-}
-
-/// A sample of the outermost voxels.
-struct Sides {
-    /// Ascending; at least one.
-    values: Vec<f32>,
-    /// Those with nothing in them.
-    num_gaps: usize,
-}
-
-impl Sides {
-    fn of(volume: &Volume) -> Self {
-        let dims = volume.dims().map(|d| d as i32);
-        let stride = dims.map(|d| (d / SAMPLES_PER_SIDE).max(1) as usize);
-        let (mut values, mut num_gaps) = (Vec::new(), 0);
-        for axis in 0..3 {
-            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-            for side in [0, dims[axis] - 1] {
-                for a in (0..dims[u]).step_by(stride[u]) {
-                    for b in (0..dims[v]).step_by(stride[v]) {
-                        let mut at = [0; 3];
-                        (at[axis], at[u], at[v]) = (side, a, b);
-                        let [x, y, z] = at.map(|i| i as usize);
-                        let index = (z * dims[1] as usize + y) * dims[0] as usize + x;
-                        if volume.gaps().is_some_and(|gaps| gaps.bytes[index] != 0) {
-                            num_gaps += 1;
-                            continue;
-                        }
-                        values.push(volume.value_from_stored(volume.stored_at(at[0], at[1], at[2])));
-                    }
-                }
-            }
-        }
-        if values.is_empty() {
-            values.push(volume.value_range().0);
-        }
-        values.sort_unstable_by(f32::total_cmp);
-        Self { values, num_gaps }
-    }
-
-    /// The value that this share of them does not exceed.
-    fn percentile(&self, share: f32) -> f32 {
-        self.values[((self.values.len() - 1) as f32 * share) as usize]
-    }
-
-    /// The 98th percentile, if 96 % lie within `span`.
-    fn uniform(&self, span: f32) -> Option<f32> {
-        let most = self.percentile(0.98);
-        (most - self.percentile(0.02) < span).then_some(most)
-    }
-
-    /// The share of them that hides what is behind: a few voxels let hardly any light through.
-    fn opaque_share(&self, transfer: &TransferFunction, (lo, hi): (f32, f32)) -> f32 {
-        let is_opaque = |value: &&f32| transfer.at((**value - lo) / (hi - lo)).1 > OPAQUE;
-        let num = self.values.len() + self.num_gaps;
-        self.values.iter().filter(is_opaque).count() as f32 / num as f32
-    }
+/// Whether the axes are those of a patient, and the voxels as long as in scans of such. Emission is no anatomy.
+fn is_body(volume: &Volume) -> bool {
+    let info = &volume.info;
+    let meters = info.unit.as_deref().and_then(length_unit).map_or(1e-3, |(meters, _)| meters);
+    are_of_body(info.orientation.as_deref())
+        && f64::from(volume.voxel_side()) * meters > SHORTEST_IN_BODIES
+        && !matches!(info.modality.as_deref(), Some("PT" | "NM"))
 }
 
 /// The preset of the modality, or of values that only one kind of volume has. CT must be in Hounsfield units, with air
 /// at about −1000.
-fn of_values(volume: &Volume, histogram: &Histogram) -> Option<&'static str> {
+fn of_values(
+    volume: &Volume,
+    histogram: &Histogram,
+    surroundings: Option<&Surroundings>,
+) -> Option<&'static str> {
     let (lo, hi) = volume.value_range();
     let share = |from: f32, to: f32| histogram.share_above(from) - histogram.share_above(to);
-    // Both signs, and zero either in the middle or the value of all that is empty.
+    // Without surroundings: both signs, and zero either in the middle or the value of all that is empty.
     let (less, more) = (lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
     let near = 0.02 * more;
     let has_signs = lo < 0.0 && hi > 0.0 && less > 0.1 * more;
-    let is_signed = has_signs && (less > 0.7 * more || share(-near, near) > 0.3);
+    let is_signed = || has_signs && (less > 0.7 * more || share(-near, near) > 0.3);
     let is_in_hounsfield_units = may_be_hounsfield(lo, hi);
     // Air, and tissue from fat to blood.
     let has_tissue = || share(-1080.0, -850.0) > 0.01 && share(-150.0, 150.0) > 0.01;
-    match volume.info.modality.as_deref() {
-        Some("CT") if is_in_hounsfield_units => Some("ct-body"),
-        None if is_in_hounsfield_units && has_tissue() => Some("ct-body"),
-        _ if is_signed => Some(SIGNED),
-        Some("MR") => Some("mri"),
-        _ => None,
+    let modality = volume.info.modality.as_deref();
+    match modality {
+        Some("CT") if is_in_hounsfield_units => return Some("ct-body"),
+        None if is_in_hounsfield_units && has_tissue() => return Some("ct-body"),
+        _ => {}
+    }
+    match surroundings.map(|surroundings| surroundings.matter) {
+        Some(MatterSide::Both) => Some(SIGNED),
+        Some(MatterSide::Below) => Some(DARK),
+        None if is_signed() => Some(SIGNED),
+        _ => (modality == Some("MR")).then_some("mri"),
     }
 }
 
@@ -242,23 +169,28 @@ impl Statistics {
     }
 }
 
-/// The differences to the mean of the six neighbours, for a regular sample of the voxels above the lowest tenth.
+/// The differences to the mean of the neighbours along axes of three voxels or more, for a regular sample of the voxels
+/// above the lowest tenth.
 fn roughness(volume: &Volume, lo: f32, range: f32) -> Vec<f32> {
     let dims = volume.dims().map(|d| d as i32);
     let stride = dims.map(|d| ((d - 2) / SAMPLES_PER_SIDE).max(1));
-    let at = |x, y, z| (volume.value_from_stored(volume.stored_at(x, y, z)) - lo) / range;
-    let along = |axis: usize| (1..dims[axis] - 1).step_by(stride[axis] as usize);
+    let at = |[x, y, z]: [i32; 3]| (volume.value_from_stored(volume.stored_at(x, y, z)) - lo) / range;
+    let axes: Vec<usize> = (0..3).filter(|axis| dims[*axis] > 2).collect();
+    let along = |axis: usize| match axes.contains(&axis) {
+        true => (1..dims[axis] - 1).step_by(stride[axis] as usize),
+        false => (0..1).step_by(1),
+    };
     let mut differences = Vec::new();
-    for z in along(2) {
-        for y in along(1) {
-            for x in along(0) {
-                let center = at(x, y, z);
-                if center > 0.1 {
-                    let sum = at(x - 1, y, z) + at(x + 1, y, z) + at(x, y - 1, z) + at(x, y + 1, z);
-                    let sum = sum + at(x, y, z - 1) + at(x, y, z + 1);
-                    differences.push((center - sum / 6.0).abs());
-                }
-            }
+    for [x, y, z] in along(2).flat_map(|z| along(1).flat_map(move |y| along(0).map(move |x| [x, y, z]))) {
+        let center = at([x, y, z]);
+        if center > 0.1 && !axes.is_empty() {
+            let neighbor = |axis: usize, by: i32| {
+                let mut beside = [x, y, z];
+                beside[axis] += by;
+                at(beside)
+            };
+            let sum: f32 = axes.iter().map(|&axis| neighbor(axis, -1) + neighbor(axis, 1)).sum();
+            differences.push((center - sum / (2 * axes.len()) as f32).abs());
         }
     }
     differences
@@ -286,20 +218,16 @@ presets![
     "ct-lung",
     "ct-windowed",
     "signed",
+    "dark",
     "cloud",
     "cubus",
     "shells"
 ];
 
-/// The opacity per unit length of matter that hides what is behind it after a few voxels.
-const OPAQUE: f32 = 0.1;
-/// The share of opaque voxels on the sides from which on a volume looks like a block.
-const MOST_OPAQUE: f32 = 0.5;
-/// The least share of voxels that a look must show, and the greatest share that may be at its upper end.
-const FEWEST_SHOWN: f32 = 0.002;
-const MOST_WHITE: f32 = 0.5;
 /// Sampled voxels along each axis. The quarter of a million in all gives two digits.
 const SAMPLES_PER_SIDE: i32 = 64;
+/// Shortest voxels in scans of bodies, metres. Those of microscopes are shorter.
+const SHORTEST_IN_BODIES: f64 = 0.95e-4;
 
 #[cfg(test)]
 mod tests {
@@ -354,8 +282,12 @@ mod tests {
     fn opacities_ramp_without_jumps() {
         for name in preset_names() {
             let points = preset(name).unwrap().points;
-            // A signed map is clear in its middle.
-            let clear_at = if name == SIGNED { 0.5 } else { 0.0 };
+            // A signed map is clear in its middle, and what is dark in bright surroundings at its end.
+            let clear_at = match name {
+                SIGNED => 0.5,
+                DARK => points.last().unwrap().x,
+                _ => 0.0,
+            };
             let jump = |points: &[ControlPoint]| jump(points, clear_at);
             assert_eq!(jump(&points), None, "{name}");
             let first = points.iter().position(|p| p.x >= clear_at).unwrap();
@@ -423,70 +355,6 @@ mod tests {
     }
 
     #[test]
-    fn what_a_thing_stands_in_is_clear() {
-        // The height of `around` above the first point of the curve; `None` if the preset is unchanged.
-        let shown = |around: u8, voxels: Vec<u8>| {
-            let volume =
-                Volume::new([20; 3], Vec3::ONE, Voxels::U8(voxels), (1.0, 0.0), VolumeInfo::default());
-            let volume = volume.unwrap();
-            let transfer = default_transfer("file", &volume, &Histogram::of(&volume));
-            let Domain::Values(from, to) = transfer.domain else { return None };
-            Some((f32::from(around) - from) / (to - from) - transfer.points[0].x)
-        };
-        let thing_in = |around: u8| {
-            let mut voxels: Vec<u8> = (0..8000).map(|i| around - (i % 3) as u8).collect();
-            voxels[3000..3100].fill(250);
-            voxels[4210..4215].fill(0);
-            voxels
-        };
-        assert!(shown(100, thing_in(100)).unwrap().abs() < 1e-3);
-        assert_eq!(shown(3, thing_in(3)), None, "air is clear as it is");
-        let halves = (0..8000).map(|i| if i % 20 < 10 { 100 } else { 220 }).collect();
-        assert_eq!(shown(100, halves), None, "sides of several values are the thing itself");
-    }
-
-    #[test]
-    fn a_look_begins_with_the_window_of_the_file() {
-        let domain = |window| {
-            let info = VolumeInfo { window, ..VolumeInfo::default() };
-            let voxels = (0..4096).map(|i| i as f32).collect();
-            let volume = Volume::new([16; 3], Vec3::ONE, Voxels::F32(voxels), (1.0, 0.0), info).unwrap();
-            default_transfer("file", &volume, &Histogram::of(&volume)).domain
-        };
-        assert_eq!(domain(Some((1000.0, 3000.0))), Domain::Values(1000.0, 3000.0));
-        let usual = domain(None);
-        for useless in [(5000.0, 6000.0), (-9.0, -8.0), (0.0, 100.0)] {
-            assert_eq!(domain(Some(useless)), usual, "{useless:?}");
-        }
-    }
-
-    #[test]
-    fn no_look_opens_on_a_block() {
-        // Rising values on all sides and brighter matter within.
-        let opened = |least: u16| {
-            let voxels = (0..32_768usize).map(|i| {
-                let at = [i % 32, i / 32 % 32, i / 1024];
-                let is_within = at.iter().all(|x| (10..22).contains(x));
-                let side = least + (at[0] + at[1] + at[2]) as u16 * 10;
-                if is_within { 4000 + (i % 7) as u16 } else { side }
-            });
-            let voxels = Voxels::U16(voxels.collect());
-            let volume = Volume::new([32; 3], Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
-            let histogram = Histogram::of(&volume);
-            let transfer = default_transfer("file", &volume, &histogram);
-            let domain = transfer.at_values(&volume, &histogram).domain;
-            let Domain::Values(lo, hi) = domain else { panic!("{domain:?}") };
-            let opacity = |value: f32| transfer.at((value - lo) / (hi - lo)).1;
-            (Sides::of(&volume).opaque_share(&transfer, (lo, hi)), opacity(4003.0))
-        };
-        let (sides, matter) = opened(2500);
-        assert!(sides < 0.1 && matter > OPAQUE, "{sides} of the sides hide matter of {matter}");
-        // The control is clear on its sides without any help.
-        let (sides, matter) = opened(0);
-        assert!(sides < 0.1 && matter > OPAQUE, "{sides} of the sides hide matter of {matter}");
-    }
-
-    #[test]
     fn degenerate_volumes_get_some_preset() {
         for (dims, voxels) in [
             ([1, 1, 1], Voxels::U8(vec![7])),
@@ -496,7 +364,7 @@ mod tests {
             let volume = Volume::new(dims, Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
             let histogram = Histogram::of(&volume);
             assert!(preset(default_preset("file", &volume, &histogram)).is_some());
-            assert_eq!(default_transfer("file", &volume, &histogram).validate(), Ok(()));
+            assert_eq!(crate::default_transfer("file", &volume, &histogram).validate(), Ok(()));
         }
     }
 }

@@ -9,7 +9,7 @@ use isinglass_core::volume::{Histogram, Volume};
 
 use crate::channel_looks::default_channels;
 use crate::error::FormatError;
-use crate::presets::default_transfer;
+use crate::first_look::default_transfer;
 use crate::source::{OpenOptions, open};
 use crate::transfer::load_transfer;
 

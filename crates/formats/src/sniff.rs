@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::{dicom, hdf5, metaimage, mgh, mrc, nifti, npy, vtk};
+use crate::{dicom, hdf5, metaimage, mgh, mrc, netcdf, nifti, npy, vtk};
 
 /// The format of a file, judged by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +24,8 @@ pub(crate) enum FileKind {
     Hdf5,
     /// The description of an HDF5 file of BigDataViewer.
     BigDataViewer,
+    /// A classic file; newer ones are HDF5.
+    Netcdf,
     /// An unsupported format, with a description.
     Other(&'static str),
 }
@@ -43,6 +45,7 @@ impl FileKind {
                 | Self::Mgh
                 | Self::Hdf5
                 | Self::BigDataViewer
+                | Self::Netcdf
         )
     }
 
@@ -63,6 +66,7 @@ impl FileKind {
             Self::Png => "a PNG picture",
             Self::Hdf5 => "an HDF5 file",
             Self::BigDataViewer => "a description of BigDataViewer",
+            Self::Netcdf => "a netCDF file",
             Self::Other(name) => name,
         }
     }
@@ -87,6 +91,7 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
         () if is_at(0, b"\x89PNG") => FileKind::Png,
         () if hdf5::is_header(start) => FileKind::Hdf5,
         () if hdf5::is_description(start) => FileKind::BigDataViewer,
+        () if netcdf::is_header(start) => FileKind::Netcdf,
         () if mgh::is_header(start, path) => FileKind::Mgh,
         () if mrc::is_header(start, path) => FileKind::Mrc,
         () if dicom::is_header(start) => FileKind::Dicom,
@@ -135,7 +140,10 @@ fn other_name(start: &[u8]) -> &'static str {
         () if is_at(0, b"<?xml") => "an XML document of another kind",
         () if is_at(0, b"IGLF") => "a stored layered frame",
         () if is_at(0, &[0xff, 0xd8, 0xff]) => "a JPEG picture",
-        () if is_at(0, b"CDF") => "a classic netCDF file",
+        () if is_at(0, &[0xcd, 0xf3, 0, 1]) || is_at(0, &[0xcd, 0xf2, 0x60, 2]) => "a file of NASA's CDF",
+        () if is_at(0, b"GRIB") => "a GRIB file",
+        () if is_at(0, b"\x0e\x03\x13\x01") => "an HDF4 file",
+        () if is_at(0, b"{") && contains(start, b"\"refs\"") => REFERENCES,
         () if is_at(0, b"BZh") || is_at(0, b"\xfd7zXZ") || is_at(0, b"\x28\xb5\x2f\xfd") => "compressed data",
         () if is_at(0, &[0x5c, 1, 0, 0]) || is_at(0, &[0, 0, 1, 0x5c]) => "an Analyze header",
         () if is_at(0, b"ZISRAWFILE") => "a Zeiss CZI file",
@@ -152,6 +160,8 @@ fn contains(bytes: &[u8], word: &[u8]) -> bool {
     bytes.windows(word.len()).any(|w| w == word)
 }
 
+/// A document that says where in other files the chunks of arrays are.
+pub(crate) const REFERENCES: &str = "a list of references to other files (kerchunk)";
 /// Voxels beside their header, which is opened instead.
 pub(crate) const PAIR: &str = "voxels of a pair of files";
 /// The first bytes of a pointer.
@@ -159,11 +169,20 @@ const LFS: &[u8] = b"version https://git-lfs.github.com/spec/";
 pub(crate) const LFS_NAME: &str = "a Git LFS pointer in place of the file";
 
 /// How a user converts unsupported files.
-const WAYS: [(&str, &str); 10] = [
+const WAYS: [(&str, &str); 13] = [
     (LFS_NAME, "the file itself, which `git lfs pull` fetches"),
     ("an Analyze header", "NIfTI, which `nib-convert FILE.hdr FILE.nii` (nibabel) makes of it"),
     ("voxels without their .hdr file", "the .hdr file, with the .img beside it"),
-    ("a classic netCDF file", "NetCDF-4, which `nccopy -k nc4 FILE OUT.nc` makes of it"),
+    ("a file of NASA's CDF", "NetCDF, which `cdf-to-netCDF` of NASA makes of it"),
+    (
+        "a GRIB file",
+        "NetCDF, which `cdo -f nc4 copy FILE OUT.nc` or `grib_to_netcdf -o OUT.nc FILE` makes of it",
+    ),
+    ("an HDF4 file", "HDF5, which `h4toh5 FILE OUT.h5` makes of it"),
+    (
+        REFERENCES,
+        "one of the files that it lists, or a Zarr group with their numbers, which xarray's `to_zarr` writes",
+    ),
     ("a Zeiss CZI file", BIO_FORMATS),
     ("a Leica LIF file", BIO_FORMATS),
     ("a Nikon ND2 file", BIO_FORMATS),
@@ -174,7 +193,7 @@ const WAYS: [(&str, &str); 10] = [
 
 const BIO_FORMATS: &str = "OME-TIFF, which `bfconvert FILE FILE.ome.tif` (Bio-Formats) makes of it";
 
-pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTK image, MRC, MGH, NumPy, HDF5, NetCDF-4, Imaris or OME-Zarr, slices in a folder, or raw voxels with their dimensions and type given";
+pub(crate) const EXPECTED: &str = "an NRRD file, NIfTI, MetaImage, TIFF, DICOM, VTK image, MRC, MGH, NumPy, HDF5, NetCDF, Imaris or OME-Zarr, slices in a folder, or raw voxels with their dimensions and type given";
 
 /// Bytes that are enough to recognise all formats.
 pub(crate) const SNIFFED_BYTES: u64 = 1024;

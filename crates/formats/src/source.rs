@@ -1,6 +1,6 @@
 //! Opens a volume from a file, a folder or the name of a built-in volume.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ use crate::selection::Selection;
 use crate::sniff::{self, FileKind};
 use crate::web::{is_address, shown_address};
 use crate::{
-    dicom, hdf5, metaimage, mgh, mrc, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr,
+    dicom, hdf5, metaimage, mgh, mrc, netcdf, nifti, npy, nrrd, packed, png_stack, raw, tiff, vti, vtk, zarr,
 };
 
 /// How to open a volume.
@@ -37,6 +37,9 @@ pub struct OpenOptions<'a> {
     pub spacing: Option<Vec3>,
     /// Most bytes of memory for the voxels, including the second copy that some files need during reading.
     pub max_bytes: u64,
+    /// Bytes of them that other volumes take until this one is shown. One that does not fit beside them is read by pages,
+    /// which get all of the memory later.
+    pub held: u64,
     /// Whether a header may name files outside its own folder, and links in a folder may lead outside.
     pub foreign_files: bool,
     /// How the numbers become voxels.
@@ -58,6 +61,7 @@ impl Default for OpenOptions<'_> {
             selection: Selection::default(),
             spacing: None,
             max_bytes: DEFAULT_MAX_BYTES,
+            held: 0,
             foreign_files: false,
             reading: Reading::USUAL,
             by_pages: false,
@@ -69,10 +73,22 @@ impl Default for OpenOptions<'_> {
 }
 
 impl OpenOptions<'_> {
+    /// The same options for a volume that is read whole beside others. A level that is chosen stays, and so do the channels
+    /// that are shown together.
+    fn beside(&self) -> Self {
+        let held = if self.selection.level.is_none() { self.held } else { 0 };
+        Self { max_bytes: self.max_bytes.saturating_sub(held), held: 0, ..*self }
+    }
+
     /// Refuses to use more than the allowed bytes of memory.
     pub(crate) fn check_memory(&self, path: &Path, needed: u64) -> Result<(), FormatError> {
         if needed > self.max_bytes {
-            return Err(FormatError::TooLarge { path: shown(path), needed, limit: self.max_bytes });
+            return Err(FormatError::TooLarge {
+                path: shown(path),
+                needed,
+                limit: self.max_bytes,
+                advice: "",
+            });
         }
         Ok(())
     }
@@ -98,9 +114,14 @@ pub fn open(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> 
     if outline_by_pages(source, options)?.is_some() {
         return Ok(open_paged(source, &for_pages(options))?.into_volume(options.max_bytes));
     }
+    open_whole(source, options).map_err(|e| if may_page(options) { e.with_advice() } else { e })
+}
+
+fn open_whole(source: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
     let volume = match source.strip_prefix("builtin:") {
         Some(name) => open_builtin(name, options)?,
         None => {
+            let options = &options.beside();
             let (path, file) = open_source(source, options)?;
             read_volume(file, &path, options)?
         }
@@ -139,7 +160,8 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
     if let Some(found) = outline_by_pages(source, options)? {
         return Ok(found);
     }
-    let mut found = outline_of(source, options)?;
+    let found = outline_of(source, &options.beside());
+    let mut found = found.map_err(|e| if may_page(options) { e.with_advice() } else { e })?;
     if let Some(labels) = &options.reading.labels {
         let num_voxels = found.dims.iter().map(|&n| u64::from(n)).product();
         let [when_read, while_reading] = bytes_of_labels(labels, num_voxels, options)?;
@@ -150,26 +172,39 @@ pub fn outline(source: &str, options: &OpenOptions) -> Result<Outline, FormatErr
     Ok(found)
 }
 
-/// The finest level, if it is wanted, does not fit, and can be read by pages.
-fn outline_by_pages(source: &str, options: &OpenOptions) -> Result<Option<Outline>, FormatError> {
+/// Whether a volume may be read by pages, if its file can.
+fn may_page(options: &OpenOptions) -> bool {
     let asks_for_finest =
         options.selection.level.is_none_or(|level| level == 0) && options.reading.thin.is_none();
-    let may_be = options.by_pages && options.max_bytes >= LEAST_FOR_PAGES;
-    if !may_be || !asks_for_finest || options.reading.labels.is_some() {
+    let is_allowed = options.by_pages && options.max_bytes >= LEAST_FOR_PAGES;
+    is_allowed && asks_for_finest && options.reading.labels.is_none()
+}
+
+/// The finest level, if it is wanted, does not fit, and can be read by pages.
+fn outline_by_pages(source: &str, options: &OpenOptions) -> Result<Option<Outline>, FormatError> {
+    if !may_page(options) {
         return Ok(None);
     }
     let fits = |outline: &Outline| {
         let finest = outline.levels.first().map_or(outline.whole_dims, |level| level.dims);
         outline.level == 0 && (options.selection.region.is_some() || outline.dims.map(u64::from) == finest)
     };
-    match outline_of(source, options) {
-        Ok(found) if fits(&found) => return Ok(None),
+    let alone = match outline_of(source, options) {
+        Ok(found) if fits(&found) => Some(found),
         // Whoever opens it is told of other errors.
-        Ok(_) | Err(_) => {}
+        Ok(_) | Err(_) => None,
+    };
+    let room = options.max_bytes.saturating_sub(options.held);
+    if alone.as_ref().is_some_and(|alone| options.held == 0 || alone.bytes_needed() <= room) {
+        return Ok(None);
     }
     let Some(pages) = page_count(source, &for_pages(options)) else { return Ok(None) };
     let selection = Selection { level: Some(0), ..options.selection };
     let mut found = outline_of(source, &OpenOptions { selection, max_bytes: u64::MAX, ..*options })?;
+    // What fits alone shows the same channels beside others.
+    if alone.is_some_and(|alone| alone.shown.channel != found.shown.channel) {
+        return Ok(None);
+    }
     if options.selection.region.is_none() {
         let finest = found.levels.first().map_or(found.whole_dims, |level| level.dims);
         found.dims = finest.map(|n| u32::try_from(n).unwrap_or(u32::MAX));
@@ -306,6 +341,7 @@ pub(crate) fn open_path(path: &Path, options: &OpenOptions) -> Result<Box<dyn Vo
         FileKind::Vti => Box::new(vti::VtiFile::open(file, path, options)?),
         FileKind::Vtk => Box::new(vtk::VtkFile::open(file, path)?),
         FileKind::Mgh => Box::new(mgh::MghFile::open(file, path)?),
+        FileKind::Netcdf => Box::new(netcdf::NetcdfFile::open(file, path, options)?),
         FileKind::Hdf5 => Box::new(hdf5::Hdf5File::open(file, path, "/", options)?),
         FileKind::BigDataViewer => Box::new(hdf5::Hdf5File::open_description(path, options)?),
         FileKind::Png => Box::new(png_stack::PngStack::open(vec![path.to_owned()], path, options)?),
@@ -319,6 +355,9 @@ pub(crate) fn open_path(path: &Path, options: &OpenOptions) -> Result<Box<dyn Vo
 fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile>, FormatError> {
     if zarr::is_group(path) {
         return Ok(Box::new(zarr::ZarrImage::open(path, options)?));
+    }
+    if let Some((found, expected)) = zarr::other_group(path) {
+        return Err(FormatError::Unsupported { path: shown(path), found, expected });
     }
     let home = HomeFolder::of_folder(path, options);
     let mut files = Vec::new();
@@ -387,7 +426,7 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn VolumeFile>
 /// The first bytes of a file; `None` if it cannot be read.
 pub(crate) fn read_start(file: &Path) -> Option<Vec<u8>> {
     let mut start = Vec::new();
-    File::open(file).and_then(|f| f.take(sniff::SNIFFED_BYTES).read_to_end(&mut start)).ok()?;
+    open_file(file).ok()?.take(sniff::SNIFFED_BYTES).read_to_end(&mut start).ok()?;
     Some(start)
 }
 
@@ -429,14 +468,50 @@ fn list_files(
     Ok(())
 }
 
-/// Opens a regular file. Pipes and devices are refused, because they have no length and may never end.
-pub(crate) fn open_file(path: &Path) -> Result<File, FormatError> {
-    let metadata = std::fs::metadata(path).map_err(io_error(path))?;
-    if !metadata.is_file() {
-        let found = if metadata.is_dir() { "a folder" } else { "a pipe or device" };
-        return Err(FormatError::Unsupported { path: shown(path), found, expected: "a regular file" });
+/// Opens a regular file. Pipes, sockets and devices are refused, because they have no length and may never end. This
+/// never waits for another program, even if the file becomes a pipe meanwhile.
+///
+/// # Errors
+/// It is no regular file, or the system refuses.
+pub fn open_file(path: &Path) -> Result<File, FormatError> {
+    let io = io_error(path);
+    // To open a device may already do something, and a pipe waits for its writer.
+    check_is_file(path, &std::fs::metadata(path).map_err(io)?)?;
+    let mut options = File::options();
+    options.read(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(
+        &mut options,
+        rustix::fs::OFlags::NONBLOCK.bits().cast_signed(),
+    );
+    let file = options.open(path).map_err(io)?;
+    check_is_file(path, &file.metadata().map_err(io)?)?;
+    Ok(file)
+}
+
+fn check_is_file(path: &Path, metadata: &Metadata) -> Result<(), FormatError> {
+    let refusal = |found| FormatError::Unsupported { path: shown(path), found, expected: "a regular file" };
+    kind_but_file(metadata).map_or(Ok(()), |found| Err(refusal(found)))
+}
+
+/// What it is, if it is no regular file.
+pub(crate) fn kind_but_file(metadata: &Metadata) -> Option<&'static str> {
+    let kind = metadata.file_type();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if kind.is_fifo() {
+            return Some("a pipe");
+        }
+        if kind.is_socket() {
+            return Some("a socket");
+        }
     }
-    File::open(path).map_err(io_error(path))
+    match () {
+        () if kind.is_file() => None,
+        () if kind.is_dir() => Some("a folder"),
+        () => Some("a device"),
+    }
 }
 
 /// The bytes of the regular file at `path`; `None` if there are more than `max_bytes`.
@@ -444,6 +519,17 @@ pub(crate) fn read_file(path: &Path, max_bytes: u64) -> Result<Option<Vec<u8>>, 
     let mut bytes = Vec::new();
     open_file(path)?.take(max_bytes + 1).read_to_end(&mut bytes).map_err(io_error(path))?;
     Ok((bytes.len() as u64 <= max_bytes).then_some(bytes))
+}
+
+/// The text in the regular file at `path`, of at most `max_bytes`.
+///
+/// # Errors
+/// It is no regular file, longer or not UTF-8, or the system refuses.
+pub fn read_text(path: &Path, max_bytes: u64) -> Result<String, FormatError> {
+    let unsupported =
+        |found| FormatError::Unsupported { path: shown(path), found, expected: "a short text in UTF-8" };
+    let bytes = read_file(path, max_bytes)?.ok_or_else(|| unsupported("a longer file"))?;
+    String::from_utf8(bytes).map_err(|_| unsupported("bytes that are not UTF-8"))
 }
 
 /// The last part of a path, for display.

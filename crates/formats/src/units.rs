@@ -9,10 +9,10 @@ pub(crate) fn length_unit(name: &str) -> Option<(f64, &'static str)> {
         // Two characters look like µ. The others stand for one that an encoding has lost, or for Java's escape.
         "um" | "\u{b5}m" | "\u{3bc}m" | "\u{fffd}m" | "\\u00b5m" | "micron" | "microns" | "micrometer"
         | "micrometers" | "micrometre" => (1e-6, "µm"),
-        "mm" | "millimeter" | "millimeters" | "millimetre" => (1e-3, "mm"),
-        "cm" | "centimeter" | "centimeters" | "centimetre" => (1e-2, "cm"),
+        "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => (1e-3, "mm"),
+        "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => (1e-2, "cm"),
         "m" | "meter" | "meters" | "metre" | "metres" => (1.0, "m"),
-        "km" | "kilometer" | "kilometers" | "kilometre" => (1e3, "km"),
+        "km" | "kilometer" | "kilometers" | "kilometre" | "kilometres" => (1e3, "km"),
         "in" | "inch" | "inches" => (0.0254, "in"),
         _ => return None,
     })

@@ -7,9 +7,11 @@ use std::thread;
 use std::time::Duration;
 
 use ureq::http::{Response, StatusCode};
+use ureq::unversioned::transport::DefaultConnector;
 use ureq::{Agent, Body};
 
 use crate::error::{FormatError, one_line, shown};
+use crate::web_reach::{GuardedResolver, next_address};
 
 /// A client for the files below one address.
 pub(crate) struct WebFolder {
@@ -20,6 +22,8 @@ pub(crate) struct WebFolder {
     base: String,
     /// What follows each address, such as `?token=…`; empty if nothing does.
     query: String,
+    /// Whether it is a bucket, which the storage may keep on another of its servers.
+    is_bucket: bool,
 }
 
 /// What to get of a file.
@@ -44,6 +48,17 @@ pub(crate) fn shown_address(address: &str) -> &str {
     parts(address).0
 }
 
+/// Whom a request to an address calls, for a question to the user: the host and its port, or the bucket.
+pub(crate) fn host_of_address(address: &str) -> String {
+    let shown = shown_address(address);
+    let rest = shown.split_once("://").map_or(shown, |(_, rest)| rest);
+    let authority = rest.split(['/', '\\']).next().unwrap_or_default();
+    // What stands before an @ is a user's name, which could look like a host.
+    let host = authority.rsplit('@').next().unwrap_or_default();
+    let host = if is_bucket(shown) { format!("s3://{host}") } else { host.to_owned() };
+    one_line(&host)
+}
+
 /// An address without a slash at its end, and its query for every file below it.
 fn parts(address: &str) -> (&str, String) {
     let address = address.split('#').next().unwrap_or_default();
@@ -63,13 +78,14 @@ impl WebFolder {
             .timeout_connect(Some(connect))
             .timeout_recv_response(Some(answer))
             .timeout_global(Some(answer * 3))
-            .max_redirects(MAX_REDIRECTS)
+            .max_redirects(0)
             .http_status_as_error(false)
             .user_agent("isinglass")
             .build();
         let (place, query) = parts(address);
         let shown = place.to_owned();
-        Self { agent: config.into(), base: http_address(&shown), shown, query }
+        let agent = Agent::with_parts(config, DefaultConnector::default(), GuardedResolver::default());
+        Self { agent, base: http_address(&shown), is_bucket: is_bucket(&shown), shown, query }
     }
 
     /// The address as the user wrote it, without its query, which may be secret.
@@ -104,7 +120,7 @@ impl WebFolder {
 
     fn read_once(&self, path: &Path, part: FilePart, most: u64) -> Result<Option<(Vec<u8>, u64)>, Failure> {
         let bad = |problem: String| Failure::Lasting(FormatError::Data { path: shown(path), problem });
-        let mut answer = self.request(path, part).map_err(|e| self.failure(path, &e))?;
+        let mut answer = self.request(path, part)?;
         let status = answer.status();
         match status.as_u16() {
             200 | 206 => {}
@@ -150,12 +166,30 @@ impl WebFolder {
         Ok(Some((bytes, whole.unwrap_or(found))))
     }
 
-    fn request(&self, path: &Path, part: FilePart) -> Result<Response<Body>, ureq::Error> {
+    /// Asks for a part of a file. Where the server sends on to another place of its own, that is asked.
+    fn request(&self, path: &Path, part: FilePart) -> Result<Response<Body>, Failure> {
         let inner = path.strip_prefix(&self.shown).unwrap_or(path);
         let names = inner.iter().map(|name| escaped(&name.to_string_lossy()));
         let address = std::iter::once(self.base.clone()).chain(names).collect::<Vec<_>>().join("/");
-        let address = address + &self.query;
-        let request = self.agent.get(&address);
+        let mut address = address + &self.query;
+        let refused = |line: String| {
+            let cause = io::Error::new(io::ErrorKind::PermissionDenied, one_line(&line));
+            Failure::Lasting(FormatError::Io { path: shown(path), cause })
+        };
+        for _ in 0..=MAX_REDIRECTS {
+            let answer = self.ask(&address, part).map_err(|e| self.failure(path, &e))?;
+            if !matches!(answer.status().as_u16(), 301..=303 | 307 | 308) {
+                return Ok(answer);
+            }
+            let location = answer.headers().get("location").and_then(|text| text.to_str().ok());
+            let Some(location) = location else { return Ok(answer) };
+            address = next_address(&address, location, self.is_bucket).map_err(refused)?;
+        }
+        Err(refused(format!("the server sends on more than {MAX_REDIRECTS} times")))
+    }
+
+    fn ask(&self, address: &str, part: FilePart) -> Result<Response<Body>, ureq::Error> {
+        let request = self.agent.get(address);
         match part {
             FilePart::Whole => request,
             FilePart::At(at, size) => {
@@ -172,6 +206,11 @@ impl WebFolder {
         match e {
             ureq::Error::Timeout(_) => {
                 let cause = io::Error::new(io::ErrorKind::TimedOut, "the server does not answer in time");
+                Failure::Lasting(FormatError::Io { path, cause })
+            }
+            // No other try leads elsewhere.
+            ureq::Error::Io(e) if e.kind() == io::ErrorKind::PermissionDenied => {
+                let cause = io::Error::new(e.kind(), one_line(&e.to_string()));
                 Failure::Lasting(FormatError::Io { path, cause })
             }
             e => {
@@ -209,10 +248,13 @@ fn length_of(answer: &Response<Body>) -> Option<u64> {
     }
 }
 
+fn is_bucket(address: &str) -> bool {
+    address.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("s3://"))
+}
+
 /// The address of a bucket by HTTP. One with a dot in its name has no certificate of its own.
 fn http_address(address: &str) -> String {
-    let is_s3 = address.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("s3://"));
-    let Some(place) = address.get(5..).filter(|_| is_s3) else { return address.to_owned() };
+    let Some(place) = address.get(5..).filter(|_| is_bucket(address)) else { return address.to_owned() };
     let (bucket, key) = place.split_once('/').unwrap_or((place, ""));
     let key = key.split('/').map(escaped).collect::<Vec<_>>().join("/");
     let address = match bucket.contains('.') {
@@ -312,6 +354,20 @@ mod tests {
             ("s3://a/b/", "s3://a/b", ""),
         ] {
             assert_eq!((shown_address(address), parts(address).1.as_str()), (place, query));
+        }
+    }
+
+    #[test]
+    fn whom_an_address_calls_is_told() {
+        for (address, host) in [
+            ("https://data.example.org/a.zarr?t=1", "data.example.org"),
+            ("http://data.example.org:8000", "data.example.org:8000"),
+            ("http://data.example.org@evil.com/a", "evil.com"),
+            ("http://evil.com\\@data.example.org/a", "evil.com"),
+            ("http://[::1]:80/a", "[::1]:80"),
+            ("s3://bucket/a", "s3://bucket"),
+        ] {
+            assert_eq!(host_of_address(address), host, "{address}");
         }
     }
 

@@ -156,9 +156,9 @@ fn making_an_index_can_be_stopped_and_tells_how_far_it_is() {
     let options = OpenOptions { raw: Some(shape), ..OpenOptions::default() };
     let paged = open_paged(text, &options).unwrap();
     let most = std::cell::Cell::new(0.0f32);
-    let index = paged.build_index(Some(&|done| most.set(most.get().max(done))), None).unwrap();
-    assert_eq!((most.get(), Some(&index)), (1.0, paged.index.as_deref()));
-    assert_eq!(paged.keep_index(&index).unwrap(), None, "there is no folder");
+    let built = paged.build_index(Some(&|done| most.set(most.get().max(done))), None).unwrap();
+    assert_eq!((most.get(), Some(&built.index)), (1.0, paged.index.as_deref()));
+    assert_eq!(paged.keep_index(&built).unwrap(), None, "there is no folder");
     let stopped = paged.build_index(None, Some(&AtomicBool::new(true)));
     assert!(matches!(stopped, Err(FormatError::Cancelled { .. })));
     // A file that became shorter is a line.

@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
+#[path = "support/paging.rs"]
+mod paging;
 mod support;
 #[path = "support/zarr.rs"]
 mod zarr;
@@ -14,59 +16,9 @@ use isinglass_core::volume::{PAGE_POINTS, PageError, PageId, PageSource, PageVox
 use isinglass_formats::{
     Dtype, Endian, Flip, FormatError, OpenOptions, PagedFile, RawShape, Selection, open, open_paged,
 };
+use paging::{check_pages, is_part, places, text};
 use tempfile::TempDir;
 use zarr::{ArrayText, Packing, write_image};
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-/// The places of all pages of a level.
-fn places(source: &dyn PageSource, level: usize) -> impl Iterator<Item = [u32; 3]> {
-    let [nx, ny, nz] = source.pyramid().pages(level);
-    (0..nx * ny * nz).map(move |i| [i % nx, i / nx % ny, i / nx / ny])
-}
-
-/// Whether a page has the voxels of `volume` from `first` on, of which the last ones repeat.
-fn is_part(page: &PageVoxels, volume: &Volume, first: [u32; 3]) -> bool {
-    let dims = volume.dims();
-    (0..PAGE_POINTS.pow(3)).all(|i| {
-        let at = [i % PAGE_POINTS, i / PAGE_POINTS % PAGE_POINTS, i / PAGE_POINTS.pow(2)];
-        let [x, y, z] = [0, 1, 2].map(|k| (first[k] + at[k]).min(dims[k] - 1) as usize);
-        let index = (z * dims[1] as usize + y) * dims[0] as usize + x;
-        let is_gap = volume.gaps().is_some_and(|gaps| gaps.bytes[index] != 0);
-        let found = page.gaps.as_ref().is_some_and(|gaps| gaps[i as usize] != 0);
-        page.voxels.get(i as usize).to_bits() == volume.voxels().get(index).to_bits() && is_gap == found
-    })
-}
-
-/// Checks all pages of the levels that can be opened whole, and the base.
-fn check_pages(path: &Path, options: &OpenOptions) -> PagedFile {
-    let paged = open_paged(text(path), options).unwrap_or_else(|e| panic!("{e}"));
-    let source = &*paged.source;
-    let levels = source.pyramid().levels.clone();
-    let has_levels = !isinglass_formats::outline(text(path), options).unwrap().levels.is_empty();
-    for (l, level) in levels.iter().enumerate() {
-        let whole = if l + 1 == levels.len() {
-            paged.base.clone()
-        } else {
-            let selection = Selection { level: has_levels.then_some(l as u32), ..options.selection };
-            open(text(path), &OpenOptions { selection, ..*options }).unwrap()
-        };
-        assert_eq!(whole.dims(), level.dims, "{} level {l}", path.display());
-        assert_eq!(whole.channels().count(), paged.base.channels().count());
-        for (c, channel) in whole.channels().enumerate() {
-            assert_eq!(channel.value_map(), source.pyramid().value_maps[c]);
-            for at in places(source, l) {
-                let page = source.read(c, PageId { level: l as u8, at }).unwrap_or_else(|e| panic!("{e}"));
-                let first = level.first_point(at);
-                assert!(is_part(&page, channel, first), "{} {l} {c} {at:?}", path.display());
-            }
-        }
-    }
-    assert_eq!(paged.base.finest().unwrap().dims, levels[0].dims);
-    paged
-}
 
 /// Different numbers at all places near each other.
 fn number(x: u64, y: u64, z: u64) -> u64 {
@@ -290,7 +242,7 @@ fn a_channel_without_any_value_has_empty_pages_and_hides_no_other() {
     let paged = check_pages(folder.path(), &OpenOptions::default());
     let are_hidden: Vec<bool> = paged.base.channels().map(|channel| channel.info.channel.is_hidden).collect();
     assert_eq!(are_hidden, [false, true]);
-    let index = paged.build_index(None, None).unwrap();
+    let index = paged.build_index(None, None).unwrap().index;
     assert_eq!((index.stored_range(0), index.stored_range(1)), ((0.0, 250.0), (0.0, 0.0)));
     // The control: a channel that has some values has gaps.
     write(&|at| at[0] == 1 && at[3] > 20);

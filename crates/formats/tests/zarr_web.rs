@@ -13,7 +13,9 @@ use std::thread;
 use std::time::Duration;
 
 use isinglass_core::volume::{PageError, PageId, Volume};
-use isinglass_formats::{FormatError, OpenOptions, Selection, open, open_paged, outline, source_exists};
+use isinglass_formats::{
+    FormatError, OpenOptions, Selection, ValuesOf, facts_at_once, open, open_paged, outline, source_exists,
+};
 use tempfile::TempDir;
 
 /// A server of the files in a folder, over HTTP/1.1 with kept connections and ranges.
@@ -205,6 +207,26 @@ fn an_image_at_an_address_is_the_one_in_its_folder() {
     fs::write(path.join("0/0/0/1"), vec![0; 200_000]).unwrap();
     let message = opened(&source, all).unwrap_err().to_string();
     assert!(message.contains("0/0/1") && message.contains("expected at most"), "{message}");
+}
+
+#[test]
+fn facts_of_an_address_ask_for_the_coarsest_level_only() {
+    let folder = TempDir::new().unwrap();
+    image(folder.path());
+    let server = FileServer::start(folder.path());
+    let source = format!("{}/an%20image.zarr", server.address);
+    let found = facts_at_once(&source, &OpenOptions::default()).unwrap().unwrap();
+    assert_eq!((found.values_of, found.dims, found.range), (ValuesOf::Level(1), [8; 3], Some([0.0, 63.0])));
+    let chunks = |level: &str, names: &[String]| {
+        let is_chunk =
+            |name: &&String| name.contains(level) && !name.contains("/.z") && !name.ends_with("json");
+        names.iter().filter(is_chunk).count()
+    };
+    let asked = server.requests();
+    assert_eq!((chunks("zarr/0/", &asked), chunks("zarr/1/", &asked)), (0, 1), "{asked:?}");
+    // The control: all voxels take all chunks.
+    opened(&source, Selection::default()).unwrap();
+    assert_eq!(chunks("zarr/0/", &server.requests()), 8);
 }
 
 #[test]

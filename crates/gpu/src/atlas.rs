@@ -4,8 +4,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
-use glam::Vec3;
-use isinglass_core::kernels::march::{NOTHING, PageLook, Scene, ScenePages};
+use isinglass_core::kernels::march::{NOTHING, PageCell, PageLook, Scene, ScenePages};
 use isinglass_core::volume::{BRICK, Lit, PAGE_POINTS, Page, PageSet};
 
 use crate::device::Gpu;
@@ -273,10 +272,7 @@ impl Atlas {
             }
             (field.first_word, field.is_visible) = (first_word(slot), 1);
         }
-        let levels = set.pages().iter().map(|page| u32::from(page.id.level) << LEVEL_SHIFT);
-        let levels: Vec<u32> = levels.collect();
-        let entry = |place: &u32| levels.get(*place as usize).map_or(NOTHING, |level| place | level);
-        let table: Vec<u32> = pages.table.iter().map(entry).collect();
+        let table: Vec<[u32; 2]> = pages.table.iter().map(|cell| entry_of(set, *cell)).collect();
         let Some([_, table_buffer, fields_buffer]) = &mut self.buffers else { return };
         let contents: [&[u8]; 2] = [bytemuck::cast_slice(&table), bytemuck::cast_slice(&fields)];
         for (buffer, bytes) in [table_buffer, fields_buffer].into_iter().zip(contents) {
@@ -335,12 +331,20 @@ impl Textures {
     }
 }
 
+/// The entry of a cell in the table: its page with the level above [`LEVEL_SHIFT`], and the binary logarithms of its
+/// block's sides, a byte each.
+fn entry_of(set: &PageSet, cell: PageCell) -> [u32; 2] {
+    let page = set.pages().get(cell.slot as usize);
+    let slot = page.map_or(NOTHING, |page| cell.slot | u32::from(page.id.level) << LEVEL_SHIFT);
+    let factor = set.pyramid().levels[usize::from(cell.block)].factor;
+    let shifts = [0, 1, 2].map(|i| factor[i].ilog2() << (8 * i));
+    [slot, shifts[0] | shifts[1] | shifts[2]]
+}
+
 /// The field of a page of which nothing is seen.
 fn field_of(set: &PageSet, page: &Page) -> PageField {
     let (scale, offset) = set.pyramid().level(page.id).place();
-    let (low, high) = set.pyramid().faces(page.id);
-    let [low, high] = [low, high].map(|faces| faces.clamp(Vec3::splat(-FAR), Vec3::splat(FAR)).into());
-    PageField { scale: scale.into(), offset: offset.into(), low, high, ..bytemuck::Zeroable::zeroed() }
+    PageField { scale: scale.into(), offset: offset.into(), ..bytemuck::Zeroable::zeroed() }
 }
 
 /// The distances and the peaks of a page. Without peaks, every brick may hold the greatest key.
@@ -381,8 +385,6 @@ fn first_word(slot: usize) -> u32 {
 const SLOTS_A_SIDE: u32 = 2048 / PAGE_POINTS;
 /// Slots that are worth having.
 const LEAST_SLOTS: usize = 64;
-/// Farther away than any point of a volume, voxels.
-const FAR: f32 = 1e30;
 /// Where the level begins in an entry of the table, bits.
 const LEVEL_SHIFT: u32 = 24;
 /// Bricks along the side of a page.
@@ -394,6 +396,7 @@ const _: () = assert!(PAGE_WORDS == (PAGE_BRICKS * PAGE_BRICKS * PAGE_BRICKS).di
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
     use isinglass_core::camera::{Camera, Intrinsics, Pose};
     use isinglass_core::kernels::march::MarchSettings;
     use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};

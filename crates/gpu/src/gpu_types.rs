@@ -98,10 +98,6 @@ pub(crate) struct PageField {
     pub(crate) first_word: u32,
     pub(crate) last: [i32; 3],
     pub(crate) is_visible: u32,
-    pub(crate) low: [f32; 3],
-    pub(crate) padding_0: u32,
-    pub(crate) high: [f32; 3],
-    pub(crate) padding_1: u32,
 }
 
 impl Scene {

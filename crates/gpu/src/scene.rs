@@ -8,7 +8,7 @@ use isinglass_core::kernels::march;
 use isinglass_core::kernels::march::modes::{Surface, key_limit};
 use isinglass_core::mode::MAX_ISOS;
 use isinglass_core::transfer::TransferTable;
-use isinglass_core::volume::{Volume, Voxels};
+use isinglass_core::volume::{PAGE_VOXELS, Volume, Voxels};
 
 use crate::atlas::Atlas;
 use crate::device::{Gpu, bind, scene_layout};
@@ -47,6 +47,8 @@ pub(crate) struct Texels<'a> {
 
 impl SceneOnGpu {
     pub(crate) fn new(gpu: &Gpu, scene: &march::Scene) -> Result<Self, GpuError> {
+        let level = scene.of_level();
+        let scene = level.as_ref().unwrap_or(scene);
         gpu.attempt("uploading the volume", || {
             let (mut whole, mut atlas) = (None, None);
             let texels = texels(gpu, scene, &mut whole, &mut atlas)?;
@@ -67,6 +69,18 @@ impl SceneOnGpu {
             *self = Self::new(gpu, scene)?;
             return Ok(());
         }
+        let level = scene.of_level();
+        let set = self.set_texels(gpu, level.as_ref().unwrap_or(scene));
+        match (set, &level) {
+            // Pages may still fit.
+            (Err(GpuError::OutOfMemory(_) | GpuError::TooLarge { .. }), Some(level)) => {
+                Err(GpuError::Pages { most: level.volume.voxels().len() / PAGE_VOXELS / 10 * 9 })
+            }
+            (set, _) => set,
+        }
+    }
+
+    fn set_texels(&mut self, gpu: &Gpu, scene: &march::Scene) -> Result<(), GpuError> {
         gpu.attempt("changing the look", || {
             let texels = texels(gpu, scene, &mut self.whole, &mut self.atlas)?;
             let size = tables_words(scene).len() as u64 * 4;
@@ -100,7 +114,12 @@ fn texels<'a>(
         atlas.show(gpu, scene, pages)?;
         return atlas.texels(gpu, scene);
     }
-    let whole = match whole.take() {
+    if scene.volume.paging().is_none() {
+        // A level that is held whole takes the place of the pages.
+        *atlas = None;
+    }
+    let known = whole.take().filter(|known| known.dims() == scene.volume.dims());
+    let whole = match known {
         Some(mut known) => {
             known.set(gpu, scene)?;
             whole.insert(known)

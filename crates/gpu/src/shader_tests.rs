@@ -75,20 +75,7 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
         }),
         layout!(PartRay { s0, h, first, end, unit, pixel }),
         layout!(PartBudget { threshold, longest, num_rays, capacity }),
-        layout!(PageField {
-            scale,
-            ambient,
-            offset,
-            diffuse,
-            first,
-            first_word,
-            last,
-            is_visible,
-            low,
-            padding_0,
-            high,
-            padding_1
-        }),
+        layout!(PageField { scale, ambient, offset, diffuse, first, first_word, last, is_visible }),
         layout!(Band { first_row, num_rows, first_pixel, num_pixels }),
         layout!(Raycaster {
             basis,

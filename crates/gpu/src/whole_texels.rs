@@ -12,6 +12,7 @@ use crate::textures::{Place, Staging, bytes_of, check_side, format_of, texture, 
 
 /// The textures of a scene. The voxels stay when the look changes.
 pub(crate) struct WholeTexels {
+    dims: [u32; 3],
     /// The channels that a look has shown.
     channels: Vec<(Arc<Volume>, wgpu::Texture)>,
     lit: Option<Arc<Lit>>,
@@ -26,6 +27,7 @@ impl WholeTexels {
         let occupancy_bytes = scene.occupancy.words.len() as u64 * 8;
         gpu.check_binding("occupancy in bytes", occupancy_bytes)?;
         let mut texels = Self {
+            dims: scene.volume.dims(),
             channels: Vec::new(),
             lit: None,
             // Without shading, this texel is never read.
@@ -37,9 +39,14 @@ impl WholeTexels {
         Ok(texels)
     }
 
-    /// Takes over a scene of the same volume.
+    /// Texels along x, y, z.
+    pub(crate) fn dims(&self) -> [u32; 3] {
+        self.dims
+    }
+
+    /// Takes over a scene of a volume with as many voxels.
     pub(crate) fn set(&mut self, gpu: &Gpu, scene: &Scene) -> Result<(), GpuError> {
-        let dims = scene.volume.dims();
+        let dims = self.dims;
         let mut staging = Staging::default();
         for (volume, _) in marched(scene) {
             if !self.channels.iter().any(|(known, _)| Arc::ptr_eq(known, volume)) {

@@ -241,7 +241,9 @@ impl Together {
             let known = channel.finest().and_then(|finest| finest.histogram.clone());
             format!("{:?} {known:?}", channel.stored_range())
         };
-        let numbers: Vec<String> = volume.channels().map(numbers).collect();
+        let mut numbers: Vec<String> = volume.channels().map(numbers).collect();
+        // An index may have levels, too.
+        numbers.extend(volume.paging().map(|paging| format!("{:?}", paging.source.pyramid().levels)));
         if !are_alike(exchange, &numbers.join("; "))? {
             // Only some have an index of the file.
             volume = read(&OpenOptions { index_folder: None, ..*options })?;

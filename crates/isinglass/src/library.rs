@@ -41,12 +41,7 @@ impl FileLoader {
 
     /// The header of a part, if there is room for it beside the `held` bytes.
     pub(crate) fn outline(&self, selection: Selection, held: u64) -> Result<Outline, String> {
-        // What is held changes the level that is chosen, but never whether channels are shown together.
-        let max_bytes = match selection.level {
-            Some(_) => self.request.max_bytes,
-            None => self.request.max_bytes.saturating_sub(held),
-        };
-        let options = OpenOptions { max_bytes, ..self.options(selection) };
+        let options = self.options(selection, held);
         let found = match outline(&self.request.source, &options) {
             // The error must tell everything that it needs, not only the needs of reading.
             Err(FormatError::TooLarge { .. }) => {
@@ -55,7 +50,7 @@ impl FileLoader {
             found => found,
         };
         let found = found.map_err(|e| e.to_string())?;
-        memory::check(&found.name, found.bytes_needed(), held, self.request.max_bytes)?;
+        memory::check(&found.name, found.bytes_beside(), held, self.request.max_bytes)?;
         Ok(found)
     }
 
@@ -73,22 +68,28 @@ impl FileLoader {
         self.transfer.clone().unwrap_or_else(suitable)
     }
 
-    fn options(&self, selection: Selection) -> OpenOptions<'_> {
-        OpenOptions { selection, index_folder: index_folder(), ..self.request.options() }
+    fn options(&self, selection: Selection, held: u64) -> OpenOptions<'_> {
+        OpenOptions { selection, held, index_folder: index_folder(), ..self.request.options() }
     }
 }
 
 impl Loader for FileLoader {
     fn survey(&self, part: &Part, held: u64) -> Result<Survey, String> {
         let outline = self.outline(selection_of(part), held)?;
-        Ok(Survey { parts: parts_of(&outline), bytes_needed: outline.bytes_needed() })
+        Ok(Survey { parts: parts_of(&outline), bytes_needed: outline.bytes_beside() })
     }
 
-    fn load(&self, part: &Part, progress: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String> {
+    fn load(
+        &self,
+        part: &Part,
+        held: u64,
+        progress: &dyn Fn(f32),
+        cancel: &AtomicBool,
+    ) -> Result<Loaded, String> {
         let options = OpenOptions {
             progress: Some(progress),
             cancel: Some(cancel),
-            ..self.options(selection_of(part))
+            ..self.options(selection_of(part), held)
         };
         let volume = open(&self.request.source, &options).map_err(|e| e.to_string())?;
         let transfer = self.transfer_of(&volume);
@@ -155,5 +156,48 @@ mod tests {
         let line = loader.survey(&Part::default(), 8192).unwrap_err();
         assert!(line.contains("8 kB of memory beside 8 kB of what is shown"), "{line}");
         assert!(loader.survey(&Part { time: Some(1), ..Part::default() }, 0).unwrap_err().contains("time 1"));
+    }
+
+    /// A NIfTI file of three times, of which each is a hole of 420³ words.
+    fn write_film(path: &std::path::Path) {
+        let mut header = vec![0; 352];
+        let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
+        put(0, &348i32.to_le_bytes());
+        for (i, dim) in [4i16, 420, 420, 420, 3, 1, 1, 1].iter().enumerate() {
+            put(40 + 2 * i, &dim.to_le_bytes());
+        }
+        put(70, &512i16.to_le_bytes());
+        put(72, &16i16.to_le_bytes());
+        (0..4).for_each(|i| put(76 + 4 * i, &1f32.to_le_bytes()));
+        put(108, &352f32.to_le_bytes());
+        put(344, b"n+1\0");
+        std::fs::write(path, header).unwrap();
+        let file = std::fs::File::options().write(true).open(path).unwrap();
+        file.set_len(352 + 3 * 2 * 420u64.pow(3)).unwrap();
+    }
+
+    #[test]
+    fn another_time_by_pages_needs_memory_for_its_coarsest_level_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.nii");
+        write_film(&path);
+        let loader = |max_bytes: u64| {
+            let request = LoadRequest { max_bytes, ..LoadRequest::new(path.to_str().unwrap()) };
+            FileLoader::new(&request, None).unwrap()
+        };
+        let little = loader(128 << 20);
+        let first = little.survey(&Part::default(), 0).unwrap();
+        assert_eq!((first.parts.num_times, first.parts.bytes_in_memory), (3, 128 << 20));
+        let second = Part { time: Some(1), ..first.parts.shown };
+        let found = little.survey(&second, 30 << 20).unwrap();
+        assert_eq!((found.parts.shown, found.bytes_needed), (second, first.bytes_needed));
+        // What fits alone is read by pages where it does not fit beside what is shown, which then makes room.
+        let whole = loader(300 << 20).survey(&second, 0).unwrap();
+        assert_eq!(whole.parts.bytes_in_memory, 3 * 420u64.pow(3));
+        let beside = loader(300 << 20).survey(&second, 150 << 20).unwrap();
+        assert_eq!((beside.parts.shown, beside.parts.bytes_in_memory), (second, 300 << 20));
+        // The control: without room for the coarsest level it is refused.
+        let line = little.survey(&second, 100 << 20).unwrap_err();
+        assert!(line.contains("of what is shown") && line.contains("--max-memory"), "{line}");
     }
 }

@@ -10,6 +10,8 @@ mod commands;
 mod config;
 mod detach;
 mod distributed;
+mod ending;
+mod environment;
 mod given;
 mod identity_file;
 mod lens_args;
@@ -43,6 +45,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
+    environment::silence_wayland();
     let arguments: Vec<OsString> = std::env::args_os().collect();
     let command = command();
     let settings = match Settings::read(&command, &arguments) {
@@ -61,7 +64,11 @@ fn main() -> ExitCode {
         Ok((matches, None)) => config::print(&matches, &settings),
         Ok((matches, Some(cli))) => {
             report::start_log(cli.command.log_level());
-            cli.command.run(Given::of(&matches, settings.bindings))
+            ending::prepare();
+            let done = memory::check_room();
+            let done = done.and_then(|()| cli.command.run(Given::of(&matches, settings.bindings)));
+            ending::clean_up();
+            done
         }
         Err(e) => return report::usage(&e),
     };

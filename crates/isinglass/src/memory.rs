@@ -1,8 +1,10 @@
 //! The memory limit for volumes.
 
+use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_client::format_bytes;
 use isinglass_core::volume::Volume;
+use isinglass_formats::LEAST_FOR_PAGES;
 
 /// The limit, and its default.
 #[derive(Args, Clone, Debug, Default)]
@@ -25,6 +27,26 @@ impl MemoryArgs {
     }
 }
 
+/// Whether the system gives this process the memory that every command takes. Later, where an allocation fails, the process
+/// ends without a word.
+///
+/// # Errors
+/// One line with what to change.
+pub(crate) fn check_room() -> Result<()> {
+    // The pages are never touched, so this costs nothing.
+    let mut room = Vec::<u8>::new();
+    let is_there = room.try_reserve_exact(LEAST_ROOM).is_ok();
+    // Otherwise the compiler leaves the reservation out.
+    std::hint::black_box(&mut room);
+    if !is_there {
+        bail!(
+            "the system gives this process less than {} of memory; allow more with `ulimit -v`, or end other programs",
+            format_bytes(LEAST_ROOM as u64)
+        );
+    }
+    Ok(())
+}
+
 /// Memory of a volume, its pages included, bytes.
 pub(crate) fn of_volume(volume: &Volume) -> u64 {
     volume.bytes_in_memory() + volume.paging().map_or(0, |paging| paging.max_bytes)
@@ -41,12 +63,18 @@ pub(crate) fn check(name: &str, needed: u64, held: u64, limit: u64) -> Result<()
     if needed.saturating_add(held) <= limit {
         return Ok(());
     }
+    // With so much room, what can be read by pages was not refused.
+    let has_room = limit.saturating_sub(held) >= LEAST_FOR_PAGES;
+    let advice =
+        if has_room { "; `isinglass convert` makes an OME-Zarr image that is read by pages" } else { "" };
     let (needed, limit) = (format_bytes(needed), format_bytes(limit));
     let beside = match held {
         0 => String::new(),
         held => format!(" beside {} of what is shown", format_bytes(held)),
     };
-    Err(format!("{name}: needs {needed} of memory{beside}, expected at most {limit} in all (--max-memory)"))
+    Err(format!(
+        "{name}: needs {needed} of memory{beside}, expected at most {limit} in all (--max-memory){advice}"
+    ))
 }
 
 /// `12GB`, `1.5GiB`, `500MB`, or a number of bytes.
@@ -91,6 +119,8 @@ fn total_of(meminfo: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
+/// What every command can take at its start: threads with their stacks, and the first buffers.
+const LEAST_ROOM: usize = 512 << 20;
 /// Bounds of the memory for frames.
 const LEAST_FOR_FRAMES: u64 = 256 << 20;
 const MOST_FOR_FRAMES: u64 = 4 << 30;
@@ -124,6 +154,9 @@ mod tests {
         for word in ["a.nii, time 3", "3.2 GB", "3.0 GB of what is shown", "at most 4.0 GB", "--max-memory"] {
             assert!(line.contains(word), "{line}");
         }
+        assert!(line.contains("`isinglass convert`"), "{line}");
+        let without = check("a", 60 << 20, 50 << 20, 100 << 20).unwrap_err();
+        assert!(!without.contains("convert"), "there is no room for pages: {without}");
         assert!(!check("a", u64::MAX, 0, 1).unwrap_err().contains("beside"));
         assert!(check("a", u64::MAX, u64::MAX, u64::MAX - 1).is_err());
     }

@@ -95,7 +95,9 @@ fn without_tokens(line: &str) -> String {
 
 /// Sends the log to standard error, from `level` up or as `RUST_LOG` says.
 pub(crate) fn start_log(level: &str) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    // QUIC's endpoint calls the end of every byte stream an error. The connection over it tells what it means.
+    let usual = || EnvFilter::new(format!("{level},quinn::endpoint=off"));
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| usual());
     // Installing fails only with an earlier subscriber, and there is none.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)

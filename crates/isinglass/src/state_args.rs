@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use glam::{Quat, Vec3};
 use isinglass_bench::progress::note;
@@ -17,10 +17,10 @@ use isinglass_core::transfer::TransferFunction;
 use isinglass_core::volume::{Detail, Lighting, Volume};
 use isinglass_formats::OpenedScene;
 use isinglass_formats::{
-    ReadState, Remembered, SavedCamera, SavedState, SavedVolume, Srgb, StereoPicture, read_state,
+    ReadState, Remembered, SavedCamera, SavedState, SavedVolume, Srgb, StereoPicture, is_address, read_state,
     state_from_link, state_to_link,
 };
-use isinglass_net::{Link, LinkError, state_of_link};
+use isinglass_net::{Link, state_of_link};
 
 use crate::args::{ListArgs, LookArgs, ViewArgs, VolumeArgs, open_to_serve, open_volume, orthographic};
 use crate::given::Given;
@@ -58,6 +58,10 @@ impl StateArgs {
         let Some(text) = &self.state else { return Ok(Seen { state: SavedState::default(), given }) };
         let read = if text.trim_start().starts_with("isinglass://") {
             state_from_link(&state_of_link(text)?)?
+        } else if is_address(text) {
+            bail!(
+                "--state: found an address of the web, expected a file or a link; download it first, and name the file"
+            );
         } else {
             read_state(Path::new(text))?
         };
@@ -119,7 +123,8 @@ impl Seen {
             return Ok(volume.clone());
         }
         let saved = self.state.volume.as_ref();
-        let server = saved.and_then(|v| v.link().map(|_| "a server").or(v.server.as_deref()));
+        let of_link = self.server()?;
+        let server = of_link.as_deref().or(saved.and_then(|v| v.server.as_deref()));
         let source = saved.map(SavedVolume::source_to_open).transpose().map_err(anyhow::Error::msg)?;
         let source = source.flatten().with_context(|| match server {
             Some(server) => format!("the state's volume is shown by {server}, expected VOLUME"),
@@ -128,9 +133,14 @@ impl Seen {
         Ok(volume.in_state(source))
     }
 
-    /// The link to the server of the state's volume, if it names one.
-    pub(crate) fn link(&self) -> Option<Result<Link, LinkError>> {
-        Some(self.state.volume.as_ref()?.link()?.parse())
+    /// The server of the state's volume, if its source is a link to one.
+    ///
+    /// # Errors
+    /// It is no good link.
+    pub(crate) fn server(&self) -> Result<Option<String>> {
+        let Some(link) = self.state.volume.as_ref().and_then(SavedVolume::link) else { return Ok(None) };
+        let link: Link = link.parse().context("the link of the state's volume")?;
+        Ok(Some(link.place()))
     }
 
     /// Opens a volume with its look. Notes if it is not the state's volume.

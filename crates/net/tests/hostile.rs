@@ -117,6 +117,42 @@ async fn whatever_a_client_says_first_others_are_served() {
     assert_serves(&bad_links[1]).await;
 }
 
+/// Tokens cannot be guessed, so wrong ones keep nobody out: a person behind the same address has a valid link.
+#[tokio::test(flavor = "multi_thread")]
+async fn wrong_tokens_keep_no_valid_link_of_their_address_out() {
+    let server = server();
+    let link = server.mint_link("127.0.0.1").unwrap();
+    let refusals = server.refusals();
+    serve(server);
+    // The same address over UDP, many at a time, for as long as the viewer comes in.
+    let guessing: Vec<_> = (0..8)
+        .map(|_| {
+            let link = link.clone();
+            tokio::spawn(async move {
+                for _ in 0..25 {
+                    let mut peer = raw(&link).await;
+                    let wrong = control::encode(&hello(t(), t(), "x")).unwrap();
+                    peer.send.write_all(&wrong).await.unwrap();
+                    assert_eq!(peer.is_refused().await, Refusal::UnknownToken);
+                }
+            })
+        })
+        .collect();
+    until("many guesses", || (refusals.load(std::sync::atomic::Ordering::Relaxed) >= 120).then_some(()))
+        .await;
+    // A lock of any length would last longer than these guesses do.
+    let early = connect(&link);
+    assert_eq!(early.wait_connected(Duration::from_secs(20)), Ok(()));
+    for guesses in guessing {
+        guesses.await.unwrap();
+    }
+    let id = early.set_pose(pose(1), INTRINSICS);
+    until_answered(&early, id).await;
+    // The control: a wrong token after all of these is still refused.
+    let refused = connect(&Link { token: t(), ..link }).wait_connected(Duration::from_secs(20)).unwrap_err();
+    assert_eq!(refused, ConnectError::Refused(Refusal::UnknownToken));
+}
+
 /// Also where nobody has accepted them yet: who makes links must know.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_viewer_that_is_gone_at_once_has_used_its_link_and_left() {

@@ -1,8 +1,9 @@
 //! Pages of a volume that does not fit into memory: threads read what viewers look at, and frames show what is there.
 
+use std::any::Any;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 
 use isinglass_core::kernels::march::{Scene, SeenPages};
 use isinglass_core::layer::Fineness;
@@ -53,6 +54,7 @@ struct PagerThreads {
     own: Option<VoxelBox>,
     num_channels: usize,
     max_bytes: u64,
+    page_bytes: u64,
     max_pages: usize,
     state: Mutex<State>,
     /// Notified when there may be something to read.
@@ -62,7 +64,7 @@ struct PagerThreads {
 
 struct State {
     residency: Residency,
-    views: HashMap<PlanKey, (PageView, usize, Option<Arc<SeenPages>>)>,
+    views: HashMap<PlanKey, PlannedView>,
     /// What the newest looks leave visible, by known values.
     seen: Vec<(Scene, Arc<SeenPages>)>,
     sets: HashMap<PlanKey, (u64, Arc<PageSet>)>,
@@ -70,8 +72,40 @@ struct State {
     others: HashMap<PlanKey, [PartProgress; 2]>,
     /// Changes with the pages of other processes.
     version_of_others: u64,
+    /// What was shown before, as long as its memory is not free.
+    remains: Remains,
     is_paused: bool,
     is_over: bool,
+}
+
+/// What a plan was made for.
+struct PlannedView {
+    view: PageView,
+    /// Pages of the viewer's share of the memory, and the level that it holds whole.
+    room: (usize, Option<u8>),
+    seen: Option<Arc<SeenPages>>,
+}
+
+/// Parts of a volume that is no longer shown, with their bytes. Frames on their way may hold them for a while.
+#[derive(Default)]
+pub(crate) struct Remains(Vec<(Weak<dyn Any + Send + Sync>, u64)>);
+
+impl Remains {
+    /// A volume in memory.
+    pub(crate) fn of_volume(volume: &Arc<Volume>) -> Self {
+        Self(vec![Self::part(volume, volume.bytes_in_memory())])
+    }
+
+    fn part<T: Any + Send + Sync>(part: &Arc<T>, bytes: u64) -> (Weak<dyn Any + Send + Sync>, u64) {
+        let weak: Weak<T> = Arc::downgrade(part);
+        (weak, bytes)
+    }
+
+    /// Bytes of what is still there.
+    fn bytes(&mut self) -> u64 {
+        self.0.retain(|(part, _)| part.strong_count() > 0);
+        self.0.iter().map(|(_, bytes)| bytes).sum()
+    }
 }
 
 impl State {
@@ -124,14 +158,16 @@ impl Pager {
         let max_pages = ((max_bytes / page_bytes) as usize).saturating_sub(pages.len());
         let residency = Residency::new(pyramid, pages, max_pages);
         let (views, seen, sets, others) = Default::default();
-        let (version_of_others, is_paused, is_over) = (0, false, false);
-        let state = State { residency, views, seen, sets, others, version_of_others, is_paused, is_over };
+        let (version_of_others, remains, is_paused, is_over) = (0, Remains::default(), false, false);
+        let state =
+            State { residency, views, seen, sets, others, version_of_others, remains, is_paused, is_over };
         let shared = Arc::new(PagerThreads {
             source,
             ranges,
             own,
             num_channels,
             max_bytes,
+            page_bytes,
             max_pages,
             state: Mutex::new(state),
             work: Condvar::new(),
@@ -168,10 +204,12 @@ impl Pager {
     pub fn pages(&self, viewer: ViewerId, view: &PageView, scene: &Scene) -> FramePages {
         let key = viewer.0;
         let mut state = self.shared.state();
-        let room = state.residency.share(key);
+        // A process that has a part of the volume holds no level of all.
+        let level = state.residency.level_that_fits(key).filter(|_| self.shared.own.is_none());
+        let room = (state.residency.share(key), level);
         let seen = self.shared.seen(&mut state, scene);
-        let is_same = |(known, of, by): &(PageView, usize, Option<Arc<SeenPages>>)| {
-            (known, *of) == (view, room) && same(by.as_ref(), seen.as_ref())
+        let is_same = |known: &PlannedView| {
+            (&known.view, known.room) == (view, room) && same(known.seen.as_ref(), seen.as_ref())
         };
         if !state.views.get(&key).is_some_and(is_same) {
             let pyramid = state.residency.pyramid();
@@ -179,9 +217,13 @@ impl Pager {
                 self.shared.own.as_ref().is_none_or(|own| pyramid.meets(id, own))
                     && seen.as_ref().is_none_or(|seen| seen.sees(id))
             };
-            let plan = PagePlan::of(pyramid, view, room, is_visible);
+            let plan = PagePlan::of(pyramid, view, room.0, is_visible);
+            let plan = match level {
+                Some(level) => plan.or_level(pyramid, level),
+                None => plan,
+            };
             state.residency.set_plan(key, plan);
-            state.views.insert(key, (view.clone(), room, seen));
+            state.views.insert(key, PlannedView { view: view.clone(), room, seen });
             state.sets.remove(&key);
             self.shared.work.notify_all();
         }
@@ -239,7 +281,7 @@ impl Pager {
     pub fn shown(&self, viewer: ViewerId) -> Option<FramePages> {
         let key = viewer.0;
         let state = self.shared.state();
-        let view = &state.views.get(&key)?.0;
+        let view = &state.views.get(&key)?.view;
         let (_, set) = state.sets.get(&key)?;
         let (part, is_paused) = (state.part(key), state.is_paused);
         Some(FramePages { set: set.clone(), part, rests: view.rests, is_paused })
@@ -259,23 +301,43 @@ impl Pager {
         state.others.remove(&key);
     }
 
-    /// Gives the memory of all pages back: frames show the coarsest level until this ends.
-    pub(crate) fn pause(&self, is_paused: bool) {
+    /// Gives so many bytes back: until [`Self::resume`], frames have less fine pages.
+    pub(crate) fn make_room(&self, bytes: u64) {
+        let num_pages = usize::try_from(bytes.div_ceil(self.shared.page_bytes)).unwrap_or(usize::MAX);
+        self.set_room(self.shared.max_pages.saturating_sub(num_pages), true);
+    }
+
+    /// Takes all of its memory again.
+    pub(crate) fn resume(&self) {
+        if self.shared.state().is_paused {
+            self.set_room(self.shared.max_pages, false);
+        }
+    }
+
+    /// Another volume is shown: reads no more, and returns the pages that somebody may still hold.
+    pub(crate) fn end(&self) -> Remains {
+        let page = |page: &Arc<Page>| Remains::part(page, page.num_bytes());
+        let remains = self.shared.state().residency.pages().map(page).collect();
+        self.set_room(0, true);
+        Remains(remains)
+    }
+
+    /// Takes only the memory that what was shown before has left.
+    pub(crate) fn follow(&self, remains: Remains) {
+        self.shared.state().remains = remains;
+    }
+
+    fn set_room(&self, max_pages: usize, is_paused: bool) {
         let version = {
             let mut state = self.shared.state();
             state.is_paused = is_paused;
-            state.residency.set_room(if is_paused { 0 } else { self.shared.max_pages });
+            state.residency.set_room(max_pages);
             state.views.clear();
             state.sets.clear();
             state.version()
         };
         self.shared.changed.send_replace(version);
         self.shared.work.notify_all();
-    }
-
-    /// Bytes of the pages, at most.
-    pub(crate) fn bytes_held(&self) -> u64 {
-        if self.shared.state().is_paused { 0 } else { self.max_bytes() }
     }
 
     /// The levels.
@@ -355,8 +417,13 @@ impl PagerThreads {
             if state.is_over {
                 return;
             }
-            let Some(id) = state.residency.take_next() else {
-                state = self.work.wait(state).unwrap_or_else(PoisonError::into_inner);
+            let has_room = self.has_room(&mut state);
+            let Some(id) = (if has_room { state.residency.take_next() } else { None }) else {
+                state = match has_room {
+                    true => self.work.wait(state).unwrap_or_else(PoisonError::into_inner),
+                    // Nobody tells when the last frame of what was shown before is gone.
+                    false => self.work.wait_timeout(state, POLL).unwrap_or_else(PoisonError::into_inner).0,
+                };
                 continue;
             };
             drop(state);
@@ -364,7 +431,17 @@ impl PagerThreads {
             let page = page.unwrap_or_else(|_| Err(PageError::Damaged("reading it failed".into())));
             state = self.state();
             match page {
-                Ok(page) => state.residency.insert(Arc::new(page)),
+                Ok(page) => {
+                    if let Some(level) = state.residency.insert(Arc::new(page)) {
+                        drop(state);
+                        let level = level.finish(self.source.pyramid());
+                        state = self.state();
+                        match level {
+                            Ok(level) => state.residency.insert_level(Arc::new(level)),
+                            Err(e) => tracing::error!("a level cannot be held whole: {e}"),
+                        }
+                    }
+                }
                 Err(e) => {
                     if state.residency.fail(id, matches!(e, PageError::Damaged(_))) {
                         tracing::warn!("page {:?} of level {} stays coarse: {e}", id.at, id.level);
@@ -376,6 +453,13 @@ impl PagerThreads {
             // Room for another page may be there.
             self.work.notify_one();
         }
+    }
+
+    /// Whether there is memory for another page beside what was shown before.
+    fn has_room(&self, state: &mut State) -> bool {
+        let remains = state.remains.bytes();
+        let own = (state.residency.num_pages() as u64 + 1) * self.page_bytes;
+        remains == 0 || remains + own <= self.max_bytes
     }
 
     fn page(&self, id: PageId) -> Result<Page, PageError> {

@@ -17,13 +17,13 @@ use isinglass_core::wire::control::one_line;
 use isinglass_core::wire::{Choices, LoadState, Part, VolumeDescription};
 use isinglass_net::Greeting;
 use tokio::sync::{mpsc, watch};
-use tokio::task::JoinHandle;
+use tokio::task::{JoinError, JoinHandle};
 
 use crate::ahead::{Read, ReadAhead};
 use crate::dispatch::ShownScene;
 use crate::generator::Generator;
 use crate::lights::Lights;
-use crate::paging::Pager;
+use crate::paging::{Pager, Remains};
 
 /// Opens parts of the volume's file. This crate opens no files itself: the server's owner supplies a loader.
 ///
@@ -32,14 +32,22 @@ pub trait Loader: Send + Sync {
     /// The choices in the file and the part that would be shown, from the header alone.
     ///
     /// # Errors
-    /// One line for the user: the part does not exist, or does not fit into memory beside the `held` bytes.
+    /// One line for the user: the part does not exist, or does not fit into memory beside the `held` bytes. What is read by
+    /// pages needs memory for its coarsest level only, as the shown part then makes room.
     fn survey(&self, part: &Part, held: u64) -> Result<Survey, String>;
 
-    /// Reads the part. `progress` gets the fraction that was read; reading ends soon after `cancel` becomes true.
+    /// Reads the part, beside as many bytes as were held when it was surveyed. `progress` gets the fraction that was read;
+    /// reading ends soon after `cancel` becomes true.
     ///
     /// # Errors
     /// One line for the user.
-    fn load(&self, part: &Part, progress: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String>;
+    fn load(
+        &self,
+        part: &Part,
+        held: u64,
+        progress: &dyn Fn(f32),
+        cancel: &AtomicBool,
+    ) -> Result<Loaded, String>;
 }
 
 /// Facts about a part before it is read.
@@ -108,12 +116,9 @@ impl Present {
         }
     }
 
-    /// Bytes that it takes beside another part that is read.
-    fn bytes_held(&self) -> u64 {
-        match &self.pager {
-            Some(pager) => self.lights.volume().bytes_in_memory() + pager.bytes_held(),
-            None => self.bytes,
-        }
+    /// Bytes that it takes beside another part that is read. Its pages may make room, but not for what is read ahead.
+    fn bytes_held(&self, is_ahead: bool) -> u64 {
+        if self.pager.is_none() || is_ahead { self.bytes } else { self.lights.volume().bytes_in_memory() }
     }
 
     /// The part as it can be shown again, if viewers can choose parts. One that is read by pages has no memory to wait in.
@@ -157,6 +162,14 @@ enum NotRead {
     /// There is no room beside what is known.
     NoRoom(String),
     Failed(String),
+}
+
+impl NotRead {
+    /// Reading has panicked.
+    fn by_defect(error: JoinError) -> Self {
+        tracing::error!("reading ended early: {error}");
+        Self::Failed("the server failed on reading this part".into())
+    }
 }
 
 /// A part that is being read on another thread.
@@ -273,16 +286,12 @@ impl SelectionReader {
     /// Reads a part and shows it. The pages of the present one make room, and come back if it stays.
     async fn open_beside(&mut self, part: Part) -> Ended {
         let present = self.present.borrow().clone();
-        if let Some(pager) = &present.pager {
-            pager.pause(true);
-            self.generator.forget_pages(present.scene, &present.lights).await;
-        }
         let ended = match self.read(part).await {
             Ok(read) => self.show(read).await,
             Err(ended) => ended,
         };
         if let Some(pager) = present.pager.as_ref().filter(|_| !matches!(ended, Ended::Done)) {
-            pager.pause(false);
+            pager.resume();
         }
         ended
     }
@@ -316,68 +325,45 @@ impl SelectionReader {
                     return Err(Ended::Interrupted(later.unwrap_or(order)));
                 }
             };
-            match read {
-                Ok(Ok(read)) => return Ok(read),
+            match read.unwrap_or_else(|e| Err(NotRead::by_defect(e))) {
+                Ok(read) => return Ok(read),
                 // What was read ahead goes first, and the limit of reading ahead holds no longer.
-                Ok(Err(NotRead::NoRoom(_))) if self.ahead.bytes() > 0 || is_ahead => {
+                Err(NotRead::NoRoom(_)) if self.ahead.bytes() > 0 || is_ahead => {
                     is_ahead = false;
                     self.ahead.clear();
                 }
-                Ok(Err(NotRead::NoRoom(problem) | NotRead::Failed(problem))) => {
-                    return Err(failed(&problem));
-                }
-                Err(e) => {
-                    tracing::error!("reading ended early: {e}");
-                    return Err(failed("the server failed on reading this part"));
-                }
+                Err(NotRead::NoRoom(problem) | NotRead::Failed(problem)) => return Err(failed(&problem)),
             }
         }
     }
 
     /// Begins to read a part. With a limit it is read ahead, within so many bytes of all that is known; nobody is told
-    /// of it.
+    /// of it. Otherwise the pages of the present part make room for it.
     fn begin(&self, part: Part, limit: Option<u64>) -> Option<Reading> {
         let loader = self.loader.clone()?;
-        let look = self.present.borrow().greeting.look.clone();
-        let known = self.ahead.bytes();
-        let held = self.present.borrow().bytes_held().saturating_add(known);
+        let (present, known) = (self.present.borrow().clone(), self.ahead.bytes());
+        let held = present.bytes_held(limit.is_some()).saturating_add(known);
         let cancel = CancelOnDrop::default();
         let progress =
             Arc::new(Progress { is_told: AtomicBool::new(limit.is_none()), ..Progress::default() });
-        let (load, cancelled, told) = (self.load.clone(), cancel.0.clone(), progress.clone());
-        let work = tokio::task::spawn_blocking(move || {
-            let survey = loader.survey(&part, held).map_err(NotRead::NoRoom)?;
-            if limit.is_some_and(|limit| known.saturating_add(survey.bytes_needed) > limit) {
+        let (tellers, generator) = (Tellers::of(self, &cancel, &progress), self.generator.clone());
+        let work = tokio::spawn(async move {
+            let surveyor = loader.clone();
+            let survey = tokio::task::spawn_blocking(move || surveyor.survey(&part, held));
+            let survey = survey.await.map_err(NotRead::by_defect)?.map_err(NotRead::NoRoom)?;
+            let bytes = survey.bytes_needed.max(survey.parts.bytes_in_memory);
+            if limit.is_some_and(|limit| known.saturating_add(bytes) > limit) {
                 return Err(NotRead::NoRoom("more than is read ahead".into()));
             }
-            let tell = || {
-                load.send_if_modified(|load| {
-                    // A newer load has replaced this one, or nobody waits for it.
-                    let is_wanted =
-                        told.is_told.load(Ordering::Relaxed) && !cancelled.load(Ordering::Relaxed);
-                    let Some(load) = load.as_mut().filter(|_| is_wanted) else { return false };
-                    let before = (load.bytes_needed, load.state.clone());
-                    told.tell(load);
-                    before != (load.bytes_needed, load.state.clone())
-                });
-            };
-            told.bytes_needed.store(survey.bytes_needed, Ordering::Relaxed);
-            tell();
-            let progress = |fraction: f32| {
-                // Steps of a hundredth are fine enough for the eye.
-                let permille = (fraction.clamp(0.0, 1.0) * 100.0) as u16 * 10;
-                told.permille.store(permille, Ordering::Relaxed);
-                tell();
-            };
-            let loaded = loader.load(&survey.parts.shown, &progress, &cancelled).map_err(NotRead::Failed)?;
-            if cancelled.load(Ordering::Relaxed) {
-                return Err(NotRead::Failed("cancelled".into()));
+            if let (None, Some(pager)) = (limit, &present.pager) {
+                pager.make_room(survey.bytes_needed);
+                generator.forget_pages(present.scene, &present.lights).await;
             }
-            let Loaded { volume, transfer, channels } = loaded;
-            let pager = Pager::of(&volume).map_err(|e| NotRead::Failed(e.to_string()))?;
-            let look = Look { transfer, channels, ..look };
-            let scene = Scene::of_look(Arc::new(volume), &look);
-            Ok(Read { scene, look, parts: survey.parts, pager })
+            let look = present.greeting.look.clone();
+            // A volume that was shown meanwhile is not kept for this.
+            drop(present);
+            let read = tokio::task::spawn_blocking(move || tellers.read(&*loader, survey, held, look));
+            read.await.map_err(NotRead::by_defect)?
         });
         Some(Reading { part, work, cancel, progress })
     }
@@ -396,7 +382,7 @@ impl SelectionReader {
         }
     }
 
-    /// Shows a part that was read.
+    /// Shows a part that was read. Its pages come as those of the part before go.
     async fn show(&mut self, read: Read) -> Ended {
         let Read { scene, look, parts, pager } = read;
         let before = self.present.borrow().clone();
@@ -407,9 +393,63 @@ impl SelectionReader {
         if let Err(problem) = self.generator.dispatch.show(shown).await {
             return Ended::Failed(problem.to_string());
         }
+        let remains = match &before.pager {
+            Some(pager) => pager.end(),
+            None => Remains::of_volume(before.lights.first_scene().whole()),
+        };
+        before.lights.forget_pages().await;
+        if let Some(pager) = &present.pager {
+            pager.follow(remains);
+        }
         self.present.send_replace(Arc::new(present));
         self.ahead.follow(before.again(), &parts, bytes);
         Ended::Done
+    }
+}
+
+/// What a reading needs beside its part.
+struct Tellers {
+    load: watch::Sender<Option<Load>>,
+    cancelled: Arc<AtomicBool>,
+    progress: Arc<Progress>,
+}
+
+impl Tellers {
+    fn of(reader: &SelectionReader, cancel: &CancelOnDrop, progress: &Arc<Progress>) -> Self {
+        Self { load: reader.load.clone(), cancelled: cancel.0.clone(), progress: progress.clone() }
+    }
+
+    fn tell(&self) {
+        self.load.send_if_modified(|load| {
+            // A newer load has replaced this one, or nobody waits for it.
+            let is_wanted =
+                self.progress.is_told.load(Ordering::Relaxed) && !self.cancelled.load(Ordering::Relaxed);
+            let Some(load) = load.as_mut().filter(|_| is_wanted) else { return false };
+            let before = (load.bytes_needed, load.state.clone());
+            self.progress.tell(load);
+            before != (load.bytes_needed, load.state.clone())
+        });
+    }
+
+    /// Reads a part beside `held` bytes. This may block.
+    fn read(&self, loader: &dyn Loader, survey: Survey, held: u64, look: Look) -> Result<Read, NotRead> {
+        self.progress.bytes_needed.store(survey.bytes_needed, Ordering::Relaxed);
+        self.tell();
+        let progress = |fraction: f32| {
+            // Steps of a hundredth are fine enough for the eye.
+            let permille = (fraction.clamp(0.0, 1.0) * 100.0) as u16 * 10;
+            self.progress.permille.store(permille, Ordering::Relaxed);
+            self.tell();
+        };
+        let loaded = loader.load(&survey.parts.shown, held, &progress, &self.cancelled);
+        let Loaded { volume, transfer, channels } = loaded.map_err(NotRead::Failed)?;
+        if self.cancelled.load(Ordering::Relaxed) {
+            return Err(NotRead::Failed("cancelled".into()));
+        }
+        let pager = Pager::of(&volume).map_err(|e| NotRead::Failed(e.to_string()))?;
+        let look = Look { transfer, channels, ..look };
+        let scene = Scene::of_look(Arc::new(volume), &look);
+        Ok(Read { scene, look, parts: survey.parts, pager })
     }
 }
 

@@ -70,7 +70,13 @@ impl Loader for Film {
         Ok(Survey { parts: parts(part.time.unwrap_or(0)), bytes_needed: 0 })
     }
 
-    fn load(&self, part: &Part, progress: &dyn Fn(f32), cancel: &AtomicBool) -> Result<Loaded, String> {
+    fn load(
+        &self,
+        part: &Part,
+        _: u64,
+        progress: &dyn Fn(f32),
+        cancel: &AtomicBool,
+    ) -> Result<Loaded, String> {
         let options = OpenOptions {
             selection: selection(part),
             progress: Some(progress),

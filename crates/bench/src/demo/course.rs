@@ -52,10 +52,9 @@ impl Course {
             if is_settled {
                 break;
             }
-            if let State::Refused(problem) = viewer.source().state() {
-                return Err(BenchError::Demo(format!("viewer: {problem}")));
-            }
+            check_server(viewer, LONGEST_LOSS)?;
             if asked.elapsed() > self.patience {
+                check_server(viewer, Duration::ZERO)?;
                 let seconds = self.patience.as_secs();
                 return Err(BenchError::Demo(format!(
                     "no whole picture came within {seconds} s, expected one; the machine may be too slow"
@@ -69,6 +68,9 @@ impl Course {
     }
 
     /// Plays the script. A refresh that takes longer than its period costs the next ones, as on a display.
+    ///
+    /// # Errors
+    /// Those of `see`, and if the server is lost for long or at the end, or cannot read its volume any more.
     pub(crate) fn play(
         &self,
         script: &Script,
@@ -87,6 +89,7 @@ impl Course {
             let input = script.pose_at(at, &self.intrinsics, &bounds);
             let azimuth_degrees = script.azimuth_degrees(at, &input, &bounds);
             viewer.tick(now(viewer), input);
+            check_server(viewer, LONGEST_LOSS)?;
             for record in viewer.take_records() {
                 see(&Moment { number, at, azimuth_degrees, input }, viewer, record)?;
             }
@@ -99,7 +102,12 @@ impl Course {
         if let Some(progress) = progress {
             progress.finish();
         }
-        Ok(())
+        // A server that has just died is silent at first.
+        let end = Instant::now();
+        while viewer.source().stats().is_silent() && end.elapsed() < LONGEST_LOSS {
+            std::thread::sleep(interval);
+        }
+        check_server(viewer, Duration::ZERO)
     }
 
     pub(crate) fn num_periods(&self, script: &Script) -> usize {
@@ -108,6 +116,34 @@ impl Course {
 
     pub(crate) fn interval(&self) -> Duration {
         Duration::from_secs_f32(1.0 / self.refresh_hz)
+    }
+}
+
+/// Whether the server still shows its volume: it has not been away for longer than `longest`, and reads all that is seen.
+fn check_server(viewer: &HeadlessViewer<Client>, longest: Duration) -> Result<(), BenchError> {
+    let client = viewer.source();
+    let lost = |problem: String| Err(BenchError::Demo(format!("the server is lost: {problem}")));
+    match client.state() {
+        State::Refused(problem) => return lost(problem.to_string()),
+        State::Reconnecting { since_micros, problem, .. }
+            if Duration::from_micros(client.clock().now_micros().saturating_sub(since_micros)) >= longest =>
+        {
+            return lost(problem.to_string());
+        }
+        State::Connecting { problem: Some(problem), .. } if longest.is_zero() => {
+            return lost(problem.to_string());
+        }
+        State::Connected if longest.is_zero() && client.stats().is_silent() => {
+            return lost("it does not answer".into());
+        }
+        State::Connected | State::Connecting { .. } | State::Reconnecting { .. } => {}
+    }
+    match client.talk().pages.progress().filter(|pages| pages.num_damaged > 0) {
+        None => Ok(()),
+        Some(pages) => Err(BenchError::Demo(format!(
+            "the server cannot read {} of {} parts of its volume that are seen, expected all",
+            pages.num_damaged, pages.num_wanted
+        ))),
     }
 }
 
@@ -121,6 +157,8 @@ fn now(viewer: &HeadlessViewer<Client>) -> Duration {
     Duration::from_micros(viewer.source().clock().now_micros())
 }
 
+/// Longest time without a server while a path is played.
+const LONGEST_LOSS: Duration = Duration::from_secs(10);
 /// Longest time for a picture to settle.
 const MAX_SETTLE: Duration = Duration::from_secs(5);
 

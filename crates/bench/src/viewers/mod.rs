@@ -2,12 +2,14 @@
 //! each with its own.
 //!
 //! The server is a process of its own, and a fresh one for each row, so that its memory is that of this row alone. The
-//! viewers are in this process, over real connections on loopback. Their cameras orbit and then rest.
+//! viewers are in this process, over real connections on loopback. Each requests frames as a window does: of a slow
+//! server, smaller ones while its camera moves. Their cameras orbit and then rest.
 
 mod process;
 
 use std::time::{Duration, Instant};
 
+use isinglass_client::{Foresight, HeadlessViewer, WindowOptions};
 use isinglass_core::camera::Intrinsics;
 use isinglass_core::ids::FrameId;
 use isinglass_core::look::Look;
@@ -118,7 +120,8 @@ pub fn run(
 
 /// A viewer whose camera turns, and the frames it has seen.
 struct Hand {
-    client: Client,
+    viewer: HeadlessViewer<Client>,
+    intrinsics: Intrinsics,
     /// The volume's box.
     bounds: Aabb,
     orbit: Orbit,
@@ -138,12 +141,12 @@ struct Costs {
 
 impl Hand {
     /// Requests a pose and takes what has come.
-    fn turn(&mut self, degrees: f32, intrinsics: Intrinsics) -> Result<(), BenchError> {
-        let Some(frame) = self.pose(degrees, intrinsics)? else { return Ok(()) };
+    fn turn(&mut self, degrees: f32) -> Result<(), BenchError> {
+        let Some(frame) = self.pose(degrees)? else { return Ok(()) };
         if self.newest.replace(frame.0) != Some(frame.0) {
             self.num_frames += 1;
         }
-        let server = self.client.stats().server;
+        let server = self.viewer.source().stats().server;
         if server.frame == frame.0 && self.costs.newest.replace(frame.0) != Some(frame.0) {
             self.costs.num += 1;
             self.costs.generate_micros += server.generate_micros;
@@ -153,12 +156,16 @@ impl Hand {
     }
 
     /// Requests a pose. Returns the newest frame and its number of lists.
-    fn pose(&self, degrees: f32, intrinsics: Intrinsics) -> Result<Option<(FrameId, usize)>, BenchError> {
-        if let isinglass_net::State::Refused(problem) = self.client.state() {
+    fn pose(&mut self, degrees: f32) -> Result<Option<(FrameId, usize)>, BenchError> {
+        if let isinglass_net::State::Refused(problem) = self.viewer.source().state() {
             return Err(BenchError::Demo(format!("viewer: {problem}")));
         }
-        self.client.set_pose(self.orbit.turned(degrees).pose(&intrinsics, &self.bounds), intrinsics);
-        let newest = self.client.latest_frame().map(|received| received.frame.header);
+        let pose = self.orbit.turned(degrees).pose(&self.intrinsics, &self.bounds);
+        let now = Duration::from_micros(self.viewer.source().clock().now_micros());
+        self.viewer.tick(now, pose);
+        // A frame lives as long as a record names it.
+        self.viewer.take_records();
+        let newest = self.viewer.source().latest_frame().map(|received| received.frame.header);
         Ok(newest.map(|header| (header.frame, header.camera.intrinsics.num_pixels())))
     }
 }
@@ -182,11 +189,13 @@ fn row(
         }
         let orbit = options.orbit.turned(i as f32 * 360.0 / count as f32);
         let (bounds, costs) = (welcome.volume.bounds(), Costs::default());
-        hands.push(Hand { client, bounds, orbit, newest: None, num_frames: 0, costs });
+        let mut viewer = HeadlessViewer::new(client, intrinsics, Foresight::default());
+        viewer.set_frame_size(WindowOptions::default().frame_size);
+        hands.push(Hand { viewer, intrinsics, bounds, orbit, newest: None, num_frames: 0, costs });
     }
     let asked = Instant::now();
     while hands.iter().any(|hand| hand.newest.is_none()) {
-        hands.iter_mut().try_for_each(|hand| hand.turn(0.0, intrinsics))?;
+        hands.iter_mut().try_for_each(|hand| hand.turn(0.0))?;
         if asked.elapsed() > PATIENCE {
             return Err(BenchError::Demo("no frame came, expected one; the machine may be too slow".into()));
         }
@@ -202,7 +211,7 @@ fn row(
     let stop = options.degrees_per_second * (WARM_UP.as_secs_f32() + seconds as f32);
     let rest = Instant::now();
     while rest.elapsed() < REST {
-        hands.iter_mut().try_for_each(|hand| hand.turn(stop, intrinsics))?;
+        hands.iter_mut().try_for_each(|hand| hand.turn(stop))?;
         std::thread::sleep(TICK);
     }
     let peak = server.peak_memory();
@@ -237,7 +246,7 @@ fn play(
     let begin = Instant::now();
     while begin.elapsed() < duration {
         let degrees = options.degrees_per_second * (since + begin.elapsed()).as_secs_f32();
-        hands.iter_mut().try_for_each(|hand| hand.turn(degrees, options.intrinsics))?;
+        hands.iter_mut().try_for_each(|hand| hand.turn(degrees))?;
         std::thread::sleep(TICK);
     }
     Ok(begin.elapsed())

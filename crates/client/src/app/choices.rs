@@ -12,7 +12,7 @@ use isinglass_formats::{Remembered, SavedView, Srgb};
 use super::ViewerApp;
 use super::state::{THEMES, theme_preference};
 use crate::paint::view_aids::ViewAids;
-use crate::panels::background::{Background, write_with_folder};
+use crate::panels::background::{Background, write_own};
 use crate::panels::light::usual_lighting;
 use crate::view::frame_source::FrameSource;
 use crate::view::waker_of;
@@ -103,14 +103,14 @@ impl ChoiceKeeper {
         }
         self.changed_at = None;
         let text = self.chosen.to_toml();
-        self.writing = Background::run(&waker_of(ctx), move || write_with_folder(&file, text.as_bytes()));
+        self.writing = Background::run(&waker_of(ctx), move || write_own(&file, text.as_bytes()));
     }
 
     /// Writes at once what is not written yet, for a window that has closed.
     fn finish(&mut self) {
         let running = self.writing.finish().unwrap_or(Ok(()));
         let file = self.file.as_ref().filter(|_| self.changed_at.take().is_some());
-        let rest = file.map_or(Ok(()), |file| write_with_folder(file, self.chosen.to_toml().as_bytes()));
+        let rest = file.map_or(Ok(()), |file| write_own(file, self.chosen.to_toml().as_bytes()));
         if let Err(problem) = running.and(rest) {
             tracing::warn!("choices are not kept: {problem}");
         }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
 use std::time::Duration;
 
-use isinglass_formats::{write_new, write_whole};
+use isinglass_formats::{write_new, write_private, write_whole};
 
 use crate::view::Waker;
 
@@ -102,14 +102,12 @@ pub(crate) fn write_numbered(text: &str, stem: &str, ending: &str) -> Result<Wri
     Err(format!("{stem}{ending}: there are {MAX_NUMBER} such files; name another"))
 }
 
-/// Makes the folder of a file, and writes the whole file or nothing.
+/// Writes a file of the program, whole or not at all. It and its folder are their owner's alone.
 ///
 /// # Errors
 /// One line with the path.
-pub(crate) fn write_with_folder(path: &Path, bytes: &[u8]) -> Result<(), String> {
-    let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
-    folder.map_err(|e| format!("{}: {e}", path.display()))?;
-    write_whole(path, bytes).map_err(|e| e.to_string())
+pub(crate) fn write_own(path: &Path, bytes: &[u8]) -> Result<(), String> {
+    write_private(path, bytes).map_err(|e| e.to_string())
 }
 
 /// The path that a person wrote: without blanks around it, and with `~` for the home folder.

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::Path;
 
 use isinglass_core::text::is_control;
-use isinglass_formats::{Content, MAX_STATE_BYTES, content_of, import_transfers, is_state};
+use isinglass_formats::{Content, MAX_STATE_BYTES, content_of, import_transfers, is_state, open_file};
 
 use super::text::format_bytes;
 
@@ -53,7 +53,7 @@ pub(crate) fn announce(path: &Path) -> (String, bool) {
 /// One byte more than a state may have, or nothing if the file cannot be read.
 fn begin_of(path: &Path) -> Vec<u8> {
     let mut begin = Vec::new();
-    let read = std::fs::File::open(path).map(|file| file.take(MAX_STATE_BYTES + 1).read_to_end(&mut begin));
+    let read = open_file(path).map(|file| file.take(MAX_STATE_BYTES + 1).read_to_end(&mut begin));
     if matches!(read, Ok(Ok(_))) { begin } else { Vec::new() }
 }
 

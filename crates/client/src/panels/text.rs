@@ -110,6 +110,7 @@ pub(crate) fn preset_title(name: &str) -> &str {
         "ct-vessels" => "CT vessels",
         "ct-windowed" => "CT windowed",
         "cubus" => "Cubes",
+        "dark" => "Dark in bright",
         "fluorescence" => "Fluorescence",
         "industrial" => "Industrial",
         "mri" => "MR",

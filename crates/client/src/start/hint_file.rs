@@ -3,7 +3,9 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::panels::background::{Background, write_with_folder};
+use isinglass_formats::open_file;
+
+use crate::panels::background::{Background, write_own};
 use crate::panels::hints::{Hint, Hints};
 use crate::view::waker_of;
 
@@ -49,7 +51,7 @@ impl HintFile {
     pub(super) fn finish(&mut self, hints: &Hints) {
         self.writing.finish();
         if let Some(path) = self.path.as_ref().filter(|_| self.is_news(hints)) {
-            let _ = write_with_folder(path, text_of(self.num_starts, hints).as_bytes());
+            let _ = write_own(path, text_of(self.num_starts, hints).as_bytes());
         }
     }
 
@@ -60,7 +62,7 @@ impl HintFile {
     fn write(&mut self, ctx: &egui::Context, hints: &Hints) {
         let Some(path) = self.path.clone() else { return };
         let text = text_of(self.num_starts, hints);
-        self.writing = Background::run(&waker_of(ctx), move || write_with_folder(&path, text.as_bytes()));
+        self.writing = Background::run(&waker_of(ctx), move || write_own(&path, text.as_bytes()));
     }
 }
 
@@ -73,7 +75,7 @@ fn text_of(num_starts: u32, hints: &Hints) -> String {
 /// What the file says. One that cannot be read is that of a first start.
 fn read(path: &Path) -> (u32, Hints) {
     let mut text = String::new();
-    let is_read = std::fs::File::open(path).map(|file| file.take(MOST_BYTES).read_to_string(&mut text));
+    let is_read = open_file(path).map(|file| file.take(MOST_BYTES).read_to_string(&mut text));
     let line = |name: &str| {
         let mut lines = text.lines().filter_map(|line| line.strip_prefix(name)).map(str::trim);
         lines.next().unwrap_or_default()

@@ -9,6 +9,7 @@ mod page;
 mod pictures;
 mod recent_list;
 mod services;
+mod stranger;
 #[cfg(test)]
 mod tests;
 
@@ -28,6 +29,7 @@ use self::page::{Act, PageScene, PageWish, StartPage, opening_rows};
 use self::pictures::{Keepsake, Pictures};
 use self::recent_list::RecentList;
 pub use self::services::{First, Services};
+use self::stranger::{Stranger, link_of};
 use crate::app::{AppWish, Origin, ViewerApp};
 use crate::input::bindings::Action;
 use crate::panels::background::Background;
@@ -63,6 +65,8 @@ pub(crate) struct StartWindow {
     /// The server in this process whose volume is shown, and the size of that volume, bytes.
     server: Option<(Box<dyn Send>, u64)>,
     opening: Option<Opening>,
+    /// A state that would call another machine, and waits for the person's answer.
+    stranger: Option<Stranger>,
     /// What went wrong, and with what the person did.
     problem: Option<(Act, String)>,
     drop_frame: DropFrame,
@@ -108,6 +112,7 @@ impl StartWindow {
             has_session: false,
             server: None,
             opening: None,
+            stranger: None,
             problem: None,
             drop_frame: DropFrame::default(),
             system_dialog,
@@ -151,6 +156,7 @@ impl StartWindow {
         self.forget_pictures();
         self.pictures.go_on(&ctx);
         let held = self.held();
+        self.ask(&ctx);
         let wish = if self.is_page_shown {
             self.app.warm_up();
             name_window(&ctx, "isinglass");
@@ -287,17 +293,32 @@ impl StartWindow {
         }
     }
 
-    /// Begins to open a state's volume, to show it as the state says.
+    /// Begins to open a state's volume, to show it as the state says. If that calls another machine, the person is asked
+    /// first.
     fn open_state(&mut self, act: Act, read: Result<Box<ReadState>, String>) {
-        self.problem = None;
-        let opening = read.and_then(|read| {
+        (self.problem, self.stranger) = (None, None);
+        match read.and_then(|read| Ok((Stranger::of(act, &read)?, read))) {
+            Ok((Some(stranger), _)) => self.stranger = Some(stranger),
+            Ok((None, read)) => self.open_state_at_once(act, read),
+            Err(problem) => self.problem = Some((act, problem)),
+        }
+    }
+
+    /// Asks whether the state that waits may call another machine.
+    fn ask(&mut self, ctx: &egui::Context) {
+        let Some(answer) = self.stranger.as_ref().and_then(|stranger| stranger.show(ctx)) else { return };
+        if let Some(stranger) = self.stranger.take().filter(|_| answer) {
+            self.open_state_at_once(stranger.act, stranger.read);
+        }
+        ctx.request_repaint();
+    }
+
+    fn open_state_at_once(&mut self, act: Act, read: Box<ReadState>) {
+        let opening = Ok(read).and_then(|read: Box<ReadState>| {
             let volume = read.state.volume.clone().unwrap_or_default();
-            let source = volume.source_to_open().map_err(|e| sentence(&e))?;
-            let opening = match (volume.link(), source) {
-                (Some(link), _) => {
-                    let link = link.parse().map_err(|e| format!("The link of the state's volume: {e}"))?;
-                    Opening::connect(act, &link, &self.clock, &self.wake)?
-                }
+            let source = volume.volume_source().map_err(|e| format!("The state's region: {e}"))?;
+            let opening = match (link_of(&volume)?, source) {
+                (Some(link), _) => Opening::connect(act, &link, &self.clock, &self.wake)?,
                 (None, Some(source)) => {
                     let held = self.held();
                     let servers = self.services.servers.clone();

@@ -8,10 +8,10 @@ use std::time::Duration;
 
 use egui::{ColorImage, Context, TextureHandle, TextureOptions};
 use isinglass_core::picture::Picture;
-use isinglass_formats::{Recent, RecentEntry, RecentPlace, png};
+use isinglass_formats::{Recent, RecentEntry, RecentPlace, open_file, png};
 use isinglass_net::{ReceivedFrame, place_of};
 
-use crate::panels::background::{Background, write_with_folder};
+use crate::panels::background::{Background, write_own};
 use crate::view::waker_of;
 
 /// A picture that is to be kept.
@@ -147,7 +147,7 @@ impl Change {
             Self::Keep(Keepsake { frame, background, place }) => {
                 let (size, rgb) = small(&frame.frame.flatten(), background);
                 let png = png::encode(size[0], size[1], &rgb).map_err(|e| e.to_string())?;
-                write_with_folder(&folder.join(name_of(&place)), &png)
+                write_own(&folder.join(name_of(&place)), &png)
             }
             Self::Forget(name) => match std::fs::remove_file(folder.join(&name)) {
                 Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(format!("{name}: {e}")),
@@ -224,8 +224,8 @@ fn small(picture: &Picture, background: [f32; 3]) -> ([u32; 2], Vec<u8>) {
 
 /// The picture in a file. Files that are too large, or no such picture, are none.
 fn read(path: &Path) -> Option<ColorImage> {
-    let file = std::fs::File::open(path).ok()?;
-    let is_small = file.metadata().is_ok_and(|m| m.is_file() && m.len() <= MOST_BYTES);
+    let file = open_file(path).ok()?;
+    let is_small = file.metadata().is_ok_and(|m| m.len() <= MOST_BYTES);
     let mut bytes = Vec::new();
     file.take(MOST_BYTES).read_to_end(&mut bytes).ok().filter(|_| is_small)?;
     let rgb = png::decode(&bytes, u64::from(MOST_SIDE * MOST_SIDE)).ok()?;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use isinglass_formats::{Recent, RecentEntry, RecentPlace};
 
-use crate::panels::background::{Background, write_with_folder};
+use crate::panels::background::{Background, write_own};
 use crate::view::waker_of;
 
 /// Background threads read and write, so that the page need not wait for its list.
@@ -64,7 +64,7 @@ impl RecentList {
         self.take_read(read);
         self.writing.finish();
         if let (Some(file), Some(text)) = (&self.file, self.waiting.take())
-            && let Err(problem) = write_with_folder(file, text.as_bytes())
+            && let Err(problem) = write_own(file, text.as_bytes())
         {
             tracing::warn!("the recent list is not kept: {problem}");
         }
@@ -117,7 +117,7 @@ impl RecentList {
             return;
         }
         if let (Some(file), Some(text)) = (self.file.clone(), self.waiting.take()) {
-            self.writing = Background::run(&waker_of(ctx), move || write_with_folder(&file, text.as_bytes()));
+            self.writing = Background::run(&waker_of(ctx), move || write_own(&file, text.as_bytes()));
         }
     }
 }

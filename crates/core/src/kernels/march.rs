@@ -32,7 +32,7 @@ use self::grid::{LANES, Lanes, mix};
 pub use self::grid::{Texels, TexelsOf};
 use self::mixed::{MIXED, MixedChannel};
 use self::modes::{Collected, SURFACES, SamplePair};
-pub use self::pages::{LitPage, NOTHING, PageLook, ScenePages, SeenPages};
+pub use self::pages::{LitPage, NOTHING, PageCell, PageLook, ScenePages, SeenPages};
 pub use self::scene::{ChannelFacts, MarchedChannel, Scene};
 use self::skipper::{Skipper, VisibleBins};
 pub(crate) use self::surfaces::Thicken;

@@ -26,7 +26,7 @@ impl TransferFunction {
     }
 
     /// The unit length in a volume, world units.
-    fn unit_length_in(&self, volume: &Volume) -> f32 {
+    pub fn unit_length_in(&self, volume: &Volume) -> f32 {
         match self.unit_length {
             UnitLength::Voxel => volume.voxel_side(),
             UnitLength::World(l) => l,

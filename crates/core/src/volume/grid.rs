@@ -297,6 +297,15 @@ impl Volume {
         self
     }
 
+    /// The same of a part of a volume, whose gaps are filled already: from voxels beyond the part, too.
+    pub(super) fn with_filled_gaps(mut self, bytes: Vec<u8>) -> Self {
+        let num_gaps = bytes.iter().filter(|byte| **byte != 0).count();
+        if bytes.len() == self.voxels.len() && num_gaps > 0 && num_gaps < bytes.len() {
+            self.gaps = Some(Arc::new(VoxelGaps { bytes, num_gaps: num_gaps as u64 }));
+        }
+        self
+    }
+
     /// The voxels with nothing in them, if there are any.
     pub fn gaps(&self) -> Option<&Arc<VoxelGaps>> {
         self.gaps.as_ref()

@@ -203,6 +203,11 @@ impl Illumination {
         self.lit.as_ref()
     }
 
+    /// The same with the brightness of other voxels, such as those of a finer level.
+    pub fn with_lit(&self, lit: Option<Arc<Lit>>) -> Self {
+        Self { lit, ..self.clone() }
+    }
+
     /// The ambient occlusion, of this look or borrowed from another.
     pub fn occlusion(&self) -> Option<Occlusion> {
         self.occlusion.as_ref().map(|part| Occlusion(part.1.clone()))

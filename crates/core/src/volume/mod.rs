@@ -10,6 +10,7 @@ mod grid;
 mod histogram;
 mod illumination;
 mod labels;
+mod level_assembly;
 mod lighting;
 mod lit;
 mod opacities;
@@ -33,6 +34,7 @@ pub use grid::{ChannelInfo, MAX_CHANNELS, Placement, Volume, VolumeError, Volume
 pub use histogram::{Histogram, parting_value};
 pub use illumination::{Illumination, Occlusion};
 pub use labels::label_color;
+pub use level_assembly::LevelAssembly;
 pub use lighting::{
     Lighting, LightingError, OCCLUSION_RADIUS_MAX, OCCLUSION_RADIUS_MIN, SHININESS_MAX, SOFTNESS_MAX_DEGREES,
 };

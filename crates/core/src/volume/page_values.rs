@@ -31,7 +31,9 @@ pub trait ValuesAt {
 
 /// Viewers know the finest level's voxels.
 pub(super) fn finest_voxel(volume: &Volume, point: Vec3) -> [u32; 3] {
-    let (dims, at) = (volume.finest_dims(), (point - volume.bounds().min) / volume.finest_spacing());
+    let dims = volume.finest_dims();
+    // A point on a border belongs to the same voxel as in a whole volume.
+    let at = point / volume.finest_spacing() + Vec3::from_array(dims.map(|d| d as f32)) * 0.5;
     std::array::from_fn(|i| (at[i].max(0.0) as u32).min(dims[i] - 1))
 }
 
@@ -87,6 +89,8 @@ struct Held {
     level: PyramidLevel,
     first: [u32; 3],
     voxels: HeldVoxels,
+    /// Labels are not mixed.
+    are_labels: bool,
 }
 
 #[derive(Clone)]
@@ -118,9 +122,11 @@ impl Held {
 
     fn stored(&self, index: Vec3) -> f64 {
         let (mut low, mut high, mut share) = ([0; 3], [0; 3], [0.0; 3]);
+        let are_labels = self.are_labels;
         for (i, at) in self.place(index).into_iter().enumerate() {
             (low[i], high[i]) = (self.local(i, at as u32), self.local(i, at as u32 + 1));
             share[i] = f64::from(at) - f64::from(at as u32);
+            share[i] = if are_labels { share[i].round() } else { share[i] };
         }
         match self.voxels() {
             Voxels::U8(v) => mixed(v, low, high, share),
@@ -171,11 +177,11 @@ impl PageCursor<'_> {
     }
 
     fn find(&mut self, at: [u32; 3]) -> Held {
-        let PageValues { pyramid, known, level, read, .. } = *self.values;
+        let PageValues { base, pyramid, known, level, read } = *self.values;
         let known = known(at);
         let place = |id: PageId, voxels| {
             let level = *pyramid.level(id);
-            Held { id, level, first: level.first_point(id.at), voxels }
+            Held { id, level, first: level.first_point(id.at), voxels, are_labels: base.info.are_labels }
         };
         if let Some(read) = read.filter(|_| known.id.level > level) {
             let id = pyramid.page_over(at, level);

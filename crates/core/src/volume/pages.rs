@@ -11,17 +11,17 @@ use super::pyramid::{Finest, PAGE_POINTS, PageId, PageVoxels, Pyramid};
 use crate::camera::Camera;
 use crate::clip::Region;
 
-/// A page in memory, with all channels.
+/// A page in memory, with all channels; or all of a level in place of its pages ([`PageSet::of_level`]).
 #[derive(Debug)]
 pub struct Page {
-    /// Which one it is.
+    /// Which one it is; of a whole level the first one.
     pub id: PageId,
     /// Its voxels, [`PAGE_POINTS`] along each axis. It lies in the world where it belongs ([`Volume::voxel_origin`]).
-    pub volume: Volume,
+    pub volume: Arc<Volume>,
     /// Minima and maxima of each channel.
     pub bricks: Vec<Bricks>,
-    /// Whether it has nothing anywhere.
-    pub is_nothing: bool,
+    /// Whether each channel has nothing anywhere.
+    pub are_nothing: Vec<bool>,
 }
 
 impl Page {
@@ -30,21 +30,40 @@ impl Page {
     /// # Errors
     /// If the voxels are not those of a page, or have no finite meaning.
     pub fn new(pyramid: &Pyramid, id: PageId, channels: Vec<PageVoxels>) -> Result<Self, VolumeError> {
+        Self::of(pyramid, id, [PAGE_POINTS; 3], channels)
+    }
+
+    /// All of a level, of the voxels of each channel.
+    ///
+    /// # Errors
+    /// If the voxels are not those of the level, or have no finite meaning.
+    pub fn whole_level(pyramid: &Pyramid, level: u8, channels: Vec<PageVoxels>) -> Result<Self, VolumeError> {
+        let dims = pyramid.levels[usize::from(level)].dims;
+        Self::of(pyramid, PageId { level, at: [0; 3] }, dims, channels)
+    }
+
+    fn of(
+        pyramid: &Pyramid,
+        id: PageId,
+        dims: [u32; 3],
+        channels: Vec<PageVoxels>,
+    ) -> Result<Self, VolumeError> {
         let is_nothing =
-            channels.first().is_some_and(|c| c.gaps.as_ref().is_some_and(|g| g.iter().all(|gap| *gap != 0)));
+            |channel: &PageVoxels| channel.gaps.as_ref().is_some_and(|g| g.iter().all(|gap| *gap != 0));
+        let are_nothing = channels.iter().map(is_nothing).collect();
         let mut volumes = Vec::new();
         for (channel, PageVoxels { voxels, gaps }) in channels.into_iter().enumerate() {
-            volumes.push(pyramid.page_volume(id, channel, voxels, gaps)?);
+            volumes.push(pyramid.page_volume(id, dims, channel, PageVoxels { voxels, gaps })?);
         }
         let bricks = volumes.iter().map(Bricks::of).collect();
         let mut volumes = volumes.into_iter();
         let first = volumes.next().ok_or(VolumeError::Count { dims: [0; 3], expected: 1, found: 0 })?;
-        let volume = first.with_others(volumes.map(Arc::new).collect())?;
-        Ok(Self { id, volume, bricks, is_nothing })
+        let volume = Arc::new(first.with_others(volumes.map(Arc::new).collect())?);
+        Ok(Self { id, volume, bricks, are_nothing })
     }
 
     /// A channel, from 0; the first if there is no such.
-    pub fn channel(&self, channel: usize) -> &Volume {
+    pub fn channel(&self, channel: usize) -> &Arc<Volume> {
         channel.checked_sub(1).and_then(|i| self.volume.others().get(i)).map_or(&self.volume, |other| other)
     }
 
@@ -62,9 +81,9 @@ impl Pyramid {
     fn page_volume(
         &self,
         id: PageId,
+        dims: [u32; 3],
         channel: usize,
-        voxels: Voxels,
-        gaps: Option<Vec<u8>>,
+        PageVoxels { voxels, gaps }: PageVoxels,
     ) -> Result<Volume, VolumeError> {
         self.check_kind(&voxels)?;
         let level = self.level(id);
@@ -73,9 +92,9 @@ impl Pyramid {
         let spacing = self.spacing * Vec3::from_array(factor);
         let map = self.value_maps.get(channel).or(self.value_maps.first()).copied().unwrap_or((1.0, 0.0));
         let info = VolumeInfo { are_labels: self.info.are_labels, ..VolumeInfo::default() };
-        let volume = Volume::new([PAGE_POINTS; 3], spacing, voxels, map, info)?;
+        let volume = Volume::new(dims, spacing, voxels, map, info)?;
         let volume = match gaps {
-            Some(gaps) => volume.with_gaps(gaps),
+            Some(gaps) => volume.with_filled_gaps(gaps),
             None => volume,
         };
         let first = Vec3::from_array(std::array::from_fn(place));
@@ -112,14 +131,11 @@ impl Pyramid {
             return Err(VolumeError::Channels(base.dims(), dims));
         }
         base.channels().try_for_each(|channel| self.check_kind(channel.voxels()))?;
-        let [nx, ny, nz] = self.pages(last);
-        let places = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
-        let page = |at| {
-            let id = PageId { level: last as u8, at };
+        let page = |id| {
             let channels = base.channels().map(|channel| page_of(channel, self.first_point(id)));
             Page::new(self, id, channels.collect()).map(Arc::new)
         };
-        places.map(page).collect()
+        self.page_ids(last as u8).map(page).collect()
     }
 }
 
@@ -174,6 +190,7 @@ pub struct PageSet {
     pages: Vec<Arc<Page>>,
     /// For each page of the finest level, whether it is looked at and a coarser one stands for it.
     rough: Vec<bool>,
+    is_level: bool,
     seen_by: Option<(PlanKey, PageView)>,
 }
 
@@ -189,7 +206,20 @@ impl PageSet {
             pyramid.fill(page.id, &mut table, slot as u32);
         }
         let rough = table.iter().map(|slot| pages[*slot as usize].id.level > 0).collect();
-        Self { pyramid, grid, table, pages, rough, seen_by: None }
+        Self { pyramid, grid, table, pages, rough, is_level: false, seen_by: None }
+    }
+
+    /// One level that is held whole, in place of all pages.
+    pub fn of_level(pyramid: Arc<Pyramid>, level: Arc<Page>) -> Self {
+        let grid = pyramid.pages(0);
+        let num = grid.iter().map(|n| *n as usize).product();
+        let rough = vec![level.id.level > 0; num];
+        Self { pyramid, grid, table: vec![0; num], pages: vec![level], rough, is_level: true, seen_by: None }
+    }
+
+    /// The level that is held whole in place of all pages, if it is so.
+    pub fn level(&self) -> Option<&Arc<Page>> {
+        self.pages.first().filter(|_| self.is_level)
     }
 
     /// The same set, where only these pages are both looked at and not yet fine.

@@ -80,7 +80,7 @@ pub struct PageId {
 /// The voxels of a page: [`PAGE_POINTS`]³ of them, x fastest. Beyond the level's last voxel that one repeats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PageVoxels {
-    /// The stored numbers.
+    /// The stored numbers. Gaps are filled as in the whole level, from beyond the page, too: [`Volume::with_gaps`].
     pub voxels: Voxels,
     /// A byte a voxel that is not 0 where there is nothing; `None` if there is something everywhere.
     pub gaps: Option<Vec<u8>>,
@@ -156,6 +156,13 @@ impl Pyramid {
     pub fn pages(&self, level: usize) -> [u32; 3] {
         let (dims, factor) = (self.dims(), self.levels[level].factor);
         std::array::from_fn(|i| dims[i].saturating_sub(1).div_ceil(PAGE_CELLS * factor[i]).max(1))
+    }
+
+    /// All pages of a level, x fastest.
+    pub fn page_ids(&self, level: u8) -> impl Iterator<Item = PageId> + use<> {
+        let [nx, ny, nz] = self.pages(usize::from(level));
+        let places = (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
+        places.map(move |at| PageId { level, at })
     }
 
     /// The page of a level that covers a page of the finest one. Both must exist.

@@ -10,8 +10,10 @@ use std::sync::Arc;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
+use super::grid::Volume;
+use super::level_assembly::LevelAssembly;
 use super::pages::{Page, PageSet, PageView, PlanKey};
-use super::pyramid::{PAGE_CELLS, PageId, Pyramid};
+use super::pyramid::{PAGE_CELLS, PAGE_VOXELS, PageId, Pyramid};
 use crate::clip::Region;
 use crate::space::Aabb;
 
@@ -26,6 +28,8 @@ pub struct PagePlan {
     parts: HashMap<PageId, Vec<PageId>>,
     /// Pages of the coarsest level that nothing finer replaces.
     coarsest: Vec<PageId>,
+    /// The level that is held whole in place of pages.
+    level: Option<u8>,
     /// Share of the view that the finest level does not fill for lack of memory, 0 to 1.
     coarse_share: f32,
     /// About the part of the picture that all of the view fills, in no unit.
@@ -112,7 +116,8 @@ impl PartialOrd for Candidate {
 
 impl Ord for Candidate {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.pixels.total_cmp(&other.pixels).then_with(|| other.id.cmp(&self.id))
+        let by_level = self.id.level.cmp(&other.id.level);
+        self.pixels.total_cmp(&other.pixels).then(by_level).then_with(|| other.id.cmp(&self.id))
     }
 }
 
@@ -146,21 +151,24 @@ impl PagePlan {
         };
         let enough = if view.rests { 0.0 } else { PIXELS_IN_MOTION };
         let (mut num_pages, mut coarse, mut all) = (0, 0.0, 0.0);
+        // The coarsest level of which a page has no room for its parts. Pages of finer levels get none, either: nowhere is a
+        // picture much coarser than beside.
+        let mut least_level = 0;
         while let Some(Candidate { pixels, id }) = heap.pop() {
-            let Some(level) = id.level.checked_sub(1) else {
+            let finer_level = id.level.checked_sub(1).filter(|_| pixels > enough);
+            let Some(level) = finer_level else {
                 all += screen.share(id);
+                if id.level > 0 {
+                    stays(&mut plan.coarsest, id);
+                }
                 continue;
             };
-            if pixels <= enough {
-                all += screen.share(id);
-                stays(&mut plan.coarsest, id);
-                continue;
-            }
             let finer = parts(pyramid, id, level).filter(|id| screen.sees(*id) && is_visible(*id));
             let finer: Vec<PageId> = finer.collect();
             // The page that they replace is free once they are there.
             let freed = usize::from(id.level != last);
-            if num_pages + finer.len() > max_pages + freed {
+            if id.level < least_level || num_pages + finer.len() > max_pages + freed {
+                least_level = least_level.max(id.level);
                 coarse += screen.share(id);
                 all += screen.share(id);
                 stays(&mut plan.coarsest, id);
@@ -178,6 +186,25 @@ impl PagePlan {
         plan.coarse_share = if all > 0.0 { coarse / all } else { 0.0 };
         plan.size = all;
         plan
+    }
+
+    /// The same view by a level that is held whole, if pages would show a part of it coarser than that.
+    pub fn or_level(self, pyramid: &Pyramid, level: u8) -> Self {
+        let last = pyramid.levels.len().saturating_sub(1) as u8;
+        let of_leaves = self.leaves.iter().map(|id| id.level).max().unwrap_or(0);
+        let coarsest = if self.coarsest.is_empty() { of_leaves } else { last };
+        if coarsest <= level {
+            return self;
+        }
+        Self {
+            steps: pyramid.page_ids(level).collect(),
+            coarsest: pyramid.page_ids(last).collect(),
+            level: Some(level),
+            coarse_share: if level > 0 { 1.0 } else { 0.0 },
+            size: self.size,
+            rests: self.rests,
+            ..Self::default()
+        }
     }
 
     /// The pages that the view wants in the end.
@@ -308,15 +335,30 @@ fn places(first: [u32; 3], end: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
     })
 }
 
+/// A level that is held whole.
+#[derive(Debug)]
+enum WholeLevel {
+    /// Its pages come.
+    Assembly(LevelAssembly),
+    /// All of them have come, and somebody makes it one page.
+    Complete,
+    /// It is there.
+    Page(Arc<Page>),
+}
+
 /// The pages in memory and the plans of all viewers.
 #[derive(Debug)]
 pub struct Residency {
     pyramid: Arc<Pyramid>,
     base: Vec<Arc<Page>>,
     resident: HashMap<PageId, Arc<Page>>,
+    /// Levels that are held whole, or will be.
+    levels: HashMap<u8, WholeLevel>,
     reading: HashSet<PageId>,
     /// Failures of each page so far; those that make no sense have [`TRIES`].
     failed: HashMap<PageId, u8>,
+    /// Pages that had to go although parts of them were given up. They are not read again for these plans.
+    dropped: HashSet<PageId>,
     plans: Vec<(PlanKey, PagePlan)>,
     max_pages: usize,
     /// What the renderer has memory for, beside the coarsest level.
@@ -330,13 +372,15 @@ pub struct Residency {
 impl Residency {
     /// Begins with the pages of the coarsest level, and memory for so many others.
     pub fn new(pyramid: Arc<Pyramid>, base: Vec<Arc<Page>>, max_pages: usize) -> Self {
-        let (resident, reading, failed) = Default::default();
+        let (resident, levels, reading, failed, dropped) = Default::default();
         Self {
             pyramid,
             base,
             resident,
+            levels,
             reading,
             failed,
+            dropped,
             plans: Vec::new(),
             max_pages,
             limit: usize::MAX,
@@ -362,23 +406,57 @@ impl Residency {
 
     /// Pages that one more viewer's plan may take.
     pub fn share(&self, key: PlanKey) -> usize {
-        let others = self.plans.iter().filter(|(known, _)| *known != key).count();
-        // While a page is replaced, it and its parts are in memory.
-        (self.max_pages / (others + 1)).saturating_sub(SLACK)
+        // While a page is replaced, it and some of its parts are in memory.
+        self.fair_share(key).saturating_sub(SLACK)
     }
 
-    /// There is memory for so many pages from now on. Without any, all pages and plans are forgotten.
+    fn fair_share(&self, key: PlanKey) -> usize {
+        let others = self.plans.iter().filter(|(known, _)| *known != key).count();
+        self.max_pages / (others + 1)
+    }
+
+    /// The finest level that one more viewer's share of the memory holds whole; none if that is the coarsest.
+    pub fn level_that_fits(&self, key: PlanKey) -> Option<u8> {
+        // One page is beside it while it is read.
+        let (share, last) = (self.fair_share(key).checked_sub(1)?, self.base.first()?.id.level);
+        let can_be_read = |level: &u8| {
+            let has_failed = |id: &PageId| id.level == *level && self.has_failed(*id);
+            let dims = self.pyramid.levels[usize::from(*level)].dims;
+            dims.iter().all(|n| *n <= Volume::MAX_SIDE) && !self.failed.keys().any(has_failed)
+        };
+        (0..last).find(|level| self.pages_of_level(*level) <= share).filter(can_be_read)
+    }
+
+    /// As many pages as take the memory of a level that is held whole.
+    fn pages_of_level(&self, level: u8) -> usize {
+        let Some(page) = self.base.first() else { return usize::MAX };
+        let num_voxels: u64 =
+            self.pyramid.levels[usize::from(level)].dims.iter().map(|&n| u64::from(n)).product();
+        let bytes_of_voxel = page.volume.bytes_in_memory().div_ceil(PAGE_VOXELS as u64);
+        (num_voxels * bytes_of_voxel).div_ceil(page.num_bytes()) as usize
+    }
+
+    /// There is memory for so many pages from now on. All plans are forgotten, and the finest pages go as far as there is
+    /// no room.
     pub fn set_room(&mut self, max_pages: usize) {
         self.max_pages = max_pages.min(self.limit);
         self.version += 1;
-        if max_pages == 0 {
-            self.plans.clear();
-            self.resident.clear();
-        }
+        self.plans.clear();
+        self.evict();
+    }
+
+    /// The pages in memory beside those of the coarsest level, and the levels that are held whole.
+    pub fn pages(&self) -> impl Iterator<Item = &Arc<Page>> {
+        let levels = self.levels.values().filter_map(|level| match level {
+            WholeLevel::Page(level) => Some(level),
+            WholeLevel::Assembly(_) | WholeLevel::Complete => None,
+        });
+        self.resident.values().chain(levels)
     }
 
     /// A viewer has another plan.
     pub fn set_plan(&mut self, key: PlanKey, plan: PagePlan) {
+        self.dropped.clear();
         match self.plans.iter_mut().find(|(known, _)| *known == key) {
             Some((_, before)) => *before = plan,
             None => self.plans.push((key, plan)),
@@ -389,11 +467,12 @@ impl Residency {
     /// A viewer has left.
     pub fn forget(&mut self, key: PlanKey) {
         self.plans.retain(|(known, _)| *known != key);
+        self.evict();
     }
 
     /// The page to read next. It counts as being read until `insert` or `fail`.
     pub fn take_next(&mut self) -> Option<PageId> {
-        if self.resident.len() + self.reading.len() >= self.max_pages {
+        if self.num_pages() >= self.max_pages {
             return None;
         }
         let num = self.plans.len();
@@ -412,7 +491,12 @@ impl Residency {
 
     /// Whether a step of a plan is still to be read: finer pages do not stand for it.
     fn is_missing(&self, plan: &PagePlan, id: PageId) -> bool {
-        let is_open = !self.resident.contains_key(&id) && !self.reading.contains(&id) && !self.has_failed(id);
+        let is_known = self.resident.contains_key(&id) || self.reading.contains(&id);
+        let is_open = !is_known && !self.has_failed(id) && !self.dropped.contains(&id);
+        if let Some(level) = plan.level {
+            return is_open
+                && matches!(self.levels.get(&level), Some(WholeLevel::Assembly(a)) if a.missing().contains(&id));
+        }
         is_open && (plan.leaves.contains(&id) || !self.has_parts(plan, id))
     }
 
@@ -427,13 +511,32 @@ impl Residency {
         plan.parts.get(&id).is_some_and(|parts| parts.iter().all(filled))
     }
 
-    /// A page was read.
-    pub fn insert(&mut self, page: Arc<Page>) {
+    /// A page was read. Returns the level that it completes, to be made one page and inserted by `insert_level`.
+    pub fn insert(&mut self, page: Arc<Page>) -> Option<LevelAssembly> {
         self.reading.remove(&page.id);
         self.failed.remove(&page.id);
-        self.resident.insert(page.id, page);
         self.version += 1;
+        let level = page.id.level;
+        if let Some(WholeLevel::Assembly(assembly)) = self.levels.get_mut(&level) {
+            assembly.add(&self.pyramid, &page);
+            let is_complete = assembly.missing().is_empty();
+            let complete = is_complete.then(|| self.levels.insert(level, WholeLevel::Complete)).flatten();
+            return match complete {
+                Some(WholeLevel::Assembly(assembly)) => Some(assembly),
+                _ => None,
+            };
+        }
+        self.resident.insert(page.id, page);
         self.evict();
+        None
+    }
+
+    /// A level is there whole.
+    pub fn insert_level(&mut self, level: Arc<Page>) {
+        if let Some(known @ WholeLevel::Complete) = self.levels.get_mut(&level.id.level) {
+            *known = WholeLevel::Page(level);
+            self.version += 1;
+        }
     }
 
     /// A page could not be read. Whether it is given up: at once if trying again is of no use.
@@ -448,7 +551,14 @@ impl Residency {
 
     /// Forgets pages that no viewer wants, and those that finer ones replace, as far as there is no room.
     fn evict(&mut self) {
-        let num = self.resident.len() + self.reading.len();
+        let wanted: HashSet<u8> = self.plans.iter().filter_map(|(_, plan)| plan.level).collect();
+        self.levels.retain(|level, _| wanted.contains(level));
+        for level in wanted {
+            let num_channels = self.base.first().map_or(1, |page| page.bricks.len());
+            let assembly = || WholeLevel::Assembly(LevelAssembly::new(&self.pyramid, level, num_channels));
+            self.levels.entry(level).or_insert_with(assembly);
+        }
+        let num = self.num_pages();
         if num + SLACK <= self.max_pages {
             return;
         }
@@ -458,6 +568,11 @@ impl Residency {
             })
         };
         let mut unwanted: Vec<PageId> = self.resident.keys().copied().filter(|id| !is_wanted(id)).collect();
+        if unwanted.is_empty() && num >= self.max_pages {
+            // Pages that stand for parts that were given up would stay for good, and others could never be read.
+            unwanted = self.resident.keys().copied().filter(|id| self.has_failed_parts(*id)).collect();
+            self.dropped.extend(&unwanted);
+        }
         // The finest ones go first, as coarser ones serve more. A few more go, so that not every page asks again.
         unwanted.sort_unstable();
         for id in unwanted.iter().take((num + 2 * SLACK).saturating_sub(self.max_pages)) {
@@ -466,9 +581,21 @@ impl Residency {
         }
     }
 
+    /// Whether a page is in memory only for parts that were given up.
+    fn has_failed_parts(&self, id: PageId) -> bool {
+        let is_there = |id: &PageId| self.resident.contains_key(id) || self.has_failed(*id);
+        self.plans.iter().all(|(_, plan)| {
+            !plan.leaves.contains(&id) && plan.parts.get(&id).is_none_or(|parts| parts.iter().all(is_there))
+        })
+    }
+
     /// The pages to show to a viewer. At rest they are those of its plan alone, whatever else is in memory.
     pub fn set(&self, key: PlanKey) -> PageSet {
         let plan = self.plans.iter().find(|(known, _)| *known == key).map(|(_, plan)| plan);
+        let level = plan.and_then(|plan| self.levels.get(&plan.level?));
+        if let Some(WholeLevel::Page(level)) = level {
+            return PageSet::of_level(self.pyramid.clone(), level.clone());
+        }
         let is_shown = |id: PageId| {
             let is_base = usize::from(id.level) + 1 == self.pyramid.levels.len();
             is_base
@@ -507,6 +634,9 @@ impl Residency {
         let Some((_, plan)) = self.plans.iter().find(|(known, _)| *known == key) else {
             return PartProgress { version: self.version, ..PartProgress::default() };
         };
+        if let Some(level) = plan.level {
+            return self.progress_of_level(plan, level);
+        }
         let count =
             |is_so: &dyn Fn(&PageId) -> bool| plan.leaves.iter().filter(|id| is_so(id)).count() as u32;
         let progress = PageProgress {
@@ -518,9 +648,26 @@ impl Residency {
         PartProgress { progress, size: plan.size, version: self.version }
     }
 
-    /// Pages in memory, and those that are being read.
+    fn progress_of_level(&self, plan: &PagePlan, level: u8) -> PartProgress {
+        let num_wanted = plan.steps.len() as u32;
+        let num_missing = match self.levels.get(&level) {
+            Some(WholeLevel::Assembly(assembly)) => assembly.missing().len() as u32,
+            Some(WholeLevel::Page(_)) => 0,
+            Some(WholeLevel::Complete) | None => 1,
+        };
+        let progress = PageProgress {
+            num_wanted,
+            num_resident: num_wanted.saturating_sub(num_missing),
+            num_damaged: 0,
+            coarse_share: plan.coarse_share,
+        };
+        PartProgress { progress, size: plan.size, version: self.version }
+    }
+
+    /// Pages in memory, those that are being read, and as many as whole levels take.
     pub fn num_pages(&self) -> usize {
-        self.resident.len() + self.reading.len()
+        let of_levels: usize = self.levels.keys().map(|level| self.pages_of_level(*level)).sum();
+        self.resident.len() + self.reading.len() + of_levels
     }
 }
 
@@ -528,7 +675,7 @@ impl Residency {
 const PIXELS_IN_MOTION: f32 = 1.0;
 /// How far behind the eye a page may lie, in sizes of the volume: boxes are tested by their nearest corners.
 const BEHIND: f32 = 1e-3;
-/// Pages that are in memory while others replace them: the parts of one page over two levels.
-const SLACK: usize = 64;
+/// Pages that are in memory while others replace them: one for each page that is read at once.
+const SLACK: usize = 8;
 /// Times that a page is read before it is given up.
 const TRIES: u8 = 3;

@@ -1,7 +1,7 @@
 //! Slices: the values of a volume on a plane, or what a slab about the plane holds.
 //!
-//! A slice across an axis has the voxels themselves. An oblique one has trilinear values between voxel centres. A slab
-//! has the mean, the greatest or the least of several such slices.
+//! A slice across an axis has the voxels themselves. An oblique one has trilinear values between voxel centres, or the
+//! nearest labels. A slab has the mean, the greatest or the least of several such slices.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};

@@ -229,8 +229,9 @@ impl SlabAdder {
     }
 }
 
-/// The stored number between voxel centres; beyond the outermost centres that of the nearest. None outside the volume,
-/// and where the first voxel is not in the box `own` or a part of a volume has no voxels.
+/// The stored number between voxel centres, or that of the nearest if it is a label; beyond the outermost centres that of
+/// the nearest. None outside the volume, and where the first voxel is not in the box `own` or a part of a volume has no
+/// voxels.
 fn trilinear<T: Copy + Into<f64>>(volume: &Volume, voxels: &[T], own: &VoxelBox, point: Vec3) -> Option<f64> {
     let (dims, spacing, bounds) = (volume.dims(), volume.spacing(), volume.bounds());
     // A point on a face may be rounded to the outside.
@@ -253,6 +254,8 @@ fn trilinear<T: Copy + Into<f64>>(volume: &Volume, voxels: &[T], own: &VoxelBox,
         low[i] = x as usize;
         high[i] = (low[i] + 1).min(last as usize);
         share[i] = f64::from(x) - low[i] as f64;
+        // Between two labels there is no third one.
+        share[i] = if volume.info.are_labels { share[i].round() } else { share[i] };
     }
     if !own.contains([0, 1, 2].map(|i| first[i] + low[i] as u32)) {
         return None;

@@ -1,5 +1,7 @@
 //! Makes one voxel of several: their mean, or the label that most of them have.
 
+use std::ops::Range;
+
 use half::f16;
 
 use crate::decode::single;
@@ -16,16 +18,16 @@ pub(crate) enum Rule {
 }
 
 /// A box of numbers, x fastest.
-pub(super) struct NumberBox {
+pub(crate) struct NumberBox {
     /// Little-endian.
-    pub(super) bytes: Vec<u8>,
+    pub(crate) bytes: Vec<u8>,
     /// Numbers along x, y and z.
-    pub(super) dims: [usize; 3],
+    pub(crate) dims: [usize; 3],
 }
 
 impl NumberBox {
     /// The box in which so many numbers along x, y and z became one; at an odd end, fewer.
-    pub(super) fn reduced(&self, dtype: Dtype, factors: [usize; 3], rule: &Rule) -> Self {
+    pub(crate) fn reduced(&self, dtype: Dtype, factors: [usize; 3], rule: &Rule) -> Self {
         match dtype {
             Dtype::Int8 => self.reduce::<i8, 1>(factors, rule),
             Dtype::Uint8 => self.reduce::<u8, 1>(factors, rule),
@@ -42,36 +44,111 @@ impl NumberBox {
     }
 
     fn reduce<T: Number<N>, const N: usize>(&self, factors: [usize; 3], rule: &Rule) -> Self {
+        let Rule::Mean(gaps) = rule else { return self.most_frequent::<T, N>(factors) };
+        let gaps = T::comparable(gaps);
+        match (&gaps.numbers[..], gaps.valid) {
+            ([], None) => self.means::<T, N>(factors, |x: T| x.is_finite()),
+            ([gap], None) => self.means::<T, N>(factors, |x: T| x.is_finite() && x.compared() != *gap),
+            _ => self.means::<T, N>(factors, |x: T| x.is_finite() && !gaps.contains(x.compared())),
+        }
+    }
+
+    /// The means of the numbers that count, or else the first numbers.
+    fn means<T: Number<N>, const N: usize>(&self, factors: [usize; 3], counts: impl Fn(T) -> bool) -> Self {
+        let dims = self.dims_by(factors);
         let numbers = self.bytes.as_chunks::<N>().0;
-        let gaps = match rule {
-            Rule::Mean(gaps) => Some(T::comparable(gaps)),
-            Rule::Majority => None,
-        };
-        let [nx, ny, nz] = self.dims;
-        let dims = [0, 1, 2].map(|k| self.dims[k].div_ceil(factors[k]));
         let mut bytes = Vec::with_capacity(dims.iter().product::<usize>() * N);
-        let span = |i: usize, factor: usize, n: usize| i * factor..((i + 1) * factor).min(n);
-        let mut few = Vec::with_capacity(factors.iter().product());
-        for z in 0..dims[2] {
-            for y in 0..dims[1] {
-                for x in 0..dims[0] {
-                    few.clear();
-                    for z in span(z, factors[2], nz) {
-                        for y in span(y, factors[1], ny) {
-                            let row = (z * ny + y) * nx;
-                            let x = span(x, factors[0], nx);
-                            few.extend(numbers[row + x.start..row + x.end].iter().map(|b| T::of_bytes(*b)));
-                        }
-                    }
-                    let one = match &gaps {
-                        Some(gaps) => T::mean(&few, gaps),
-                        None => majority(&few),
-                    };
-                    bytes.extend(one.to_bytes());
-                }
+        let (mut sums, mut nums) = (vec![T::ZERO; dims[0]], vec![0u32; dims[0]]);
+        for (z, y) in (0..dims[2]).flat_map(|z| (0..dims[1]).map(move |y| (z, y))) {
+            sums.fill(T::ZERO);
+            nums.fill(0);
+            for row in self.rows(factors, y, z) {
+                add_row::<T, N>(&mut sums, &mut nums, &numbers[row], factors[0], &counts);
+            }
+            for (x, (sum, num)) in sums.iter().zip(&nums).enumerate() {
+                let one = match num {
+                    0 => self.few::<T, N>(factors, [x, y, z]).next(),
+                    _ => T::mean(*sum, *num).or_else(|| {
+                        let share = |x: T| T::share(x, *num);
+                        self.few::<T, N>(factors, [x, y, z]).filter(|x| counts(*x)).map(share).reduce(T::plus)
+                    }),
+                };
+                // There is a number at every place.
+                bytes.extend(one.map_or([0; N], T::to_bytes));
             }
         }
         Self { bytes, dims }
+    }
+
+    fn most_frequent<T: Number<N>, const N: usize>(&self, factors: [usize; 3]) -> Self {
+        let dims = self.dims_by(factors);
+        let mut bytes = Vec::with_capacity(dims.iter().product::<usize>() * N);
+        let mut few = Vec::with_capacity(factors.iter().product());
+        for (z, y) in (0..dims[2]).flat_map(|z| (0..dims[1]).map(move |y| (z, y))) {
+            for x in 0..dims[0] {
+                few.clear();
+                few.extend(self.few::<T, N>(factors, [x, y, z]));
+                bytes.extend(majority(&few).to_bytes());
+            }
+        }
+        Self { bytes, dims }
+    }
+
+    fn dims_by(&self, factors: [usize; 3]) -> [usize; 3] {
+        [0, 1, 2].map(|k| self.dims[k].div_ceil(factors[k]))
+    }
+
+    /// The rows of numbers that become a row.
+    fn rows(&self, factors: [usize; 3], y: usize, z: usize) -> impl Iterator<Item = Range<usize>> {
+        let [nx, ny, nz] = self.dims;
+        let span = |i: usize, factor: usize, n: usize| i * factor..((i + 1) * factor).min(n);
+        let ys = span(y, factors[1], ny);
+        span(z, factors[2], nz)
+            .flat_map(move |z| ys.clone().map(move |y| (z * ny + y) * nx..(z * ny + y + 1) * nx))
+    }
+
+    /// The numbers that become one.
+    fn few<T: Number<N>, const N: usize>(
+        &self,
+        factors: [usize; 3],
+        [x, y, z]: [usize; 3],
+    ) -> impl Iterator<Item = T> {
+        let (numbers, nx) = (self.bytes.as_chunks::<N>().0, self.dims[0]);
+        let xs = x * factors[0]..((x + 1) * factors[0]).min(nx);
+        let part = move |row: Range<usize>| &numbers[row.start + xs.start..row.start + xs.end];
+        self.rows(factors, y, z).flat_map(part).map(|bytes| T::of_bytes(*bytes))
+    }
+}
+
+/// Adds the numbers of a row that count to sums of `factor` of them.
+fn add_row<T: Number<N>, const N: usize>(
+    sums: &mut [T::Sum],
+    nums: &mut [u32],
+    row: &[[u8; N]],
+    factor: usize,
+    counts: &impl Fn(T) -> bool,
+) {
+    let add = |sum: &mut T::Sum, num: &mut u32, bytes: &[u8; N]| {
+        let x = T::of_bytes(*bytes);
+        let does_count = counts(x);
+        *sum = if does_count { T::add(*sum, x) } else { *sum };
+        *num += u32::from(does_count);
+    };
+    let all = sums.iter_mut().zip(nums);
+    if factor == 2 {
+        let (pairs, last) = row.as_chunks::<2>();
+        let mut all = all;
+        for ([a, b], (sum, num)) in pairs.iter().zip(&mut all) {
+            add(sum, num, a);
+            add(sum, num, b);
+        }
+        if let ([bytes], Some((sum, num))) = (last, all.next()) {
+            add(sum, num, bytes);
+        }
+        return;
+    }
+    for (few, (sum, num)) in row.chunks(factor).zip(all) {
+        few.iter().for_each(|bytes| add(sum, num, bytes));
     }
 }
 
@@ -79,6 +156,9 @@ impl NumberBox {
 fn majority<T: Copy + PartialEq>(few: &[T]) -> T {
     let count = |x: T| few.iter().filter(|y| **y == x).count();
     let mut best = (few[0], count(few[0]));
+    if best.1 == few.len() {
+        return best.0;
+    }
     for &x in &few[1..] {
         if x != best.0 && count(x) > best.1 {
             best = (x, count(x));
@@ -89,18 +169,31 @@ fn majority<T: Copy + PartialEq>(few: &[T]) -> T {
 
 /// A number of a file, of `N` bytes.
 trait Number<const N: usize>: Copy + PartialEq {
+    /// The sum of some.
+    type Sum: Copy;
+    const ZERO: Self::Sum;
     fn of_bytes(bytes: [u8; N]) -> Self;
     fn to_bytes(self) -> [u8; N];
+    fn is_finite(self) -> bool;
     /// The gaps as numbers of this type are compared with them.
     fn comparable(gaps: &GapNumbers) -> GapNumbers;
-    /// The mean of those that are finite and no gap, or else the first.
-    fn mean(few: &[Self], gaps: &GapNumbers) -> Self;
+    /// The number as it is compared with gaps.
+    fn compared(self) -> f64;
+    fn add(sum: Self::Sum, x: Self) -> Self::Sum;
+    /// The mean of so many numbers; `None` if their sum is too large.
+    fn mean(sum: Self::Sum, num: u32) -> Option<Self>;
+    /// A part of a number, of which so many are its mean with others whose sum is too large.
+    fn share(self, num: u32) -> Self;
+    fn plus(self, other: Self) -> Self;
 }
 
 /// Integers: the mean is rounded to the nearest, and to the even one of two.
 macro_rules! integers {
     ($($t:ty, $n:literal, $sum:ty;)*) => {$(
         impl Number<$n> for $t {
+            type Sum = $sum;
+            const ZERO: $sum = 0;
+
             fn of_bytes(bytes: [u8; $n]) -> Self {
                 Self::from_le_bytes(bytes)
             }
@@ -109,23 +202,39 @@ macro_rules! integers {
                 self.to_le_bytes()
             }
 
+            fn is_finite(self) -> bool {
+                true
+            }
+
             fn comparable(gaps: &GapNumbers) -> GapNumbers {
                 gaps.clone()
             }
 
-            fn mean(few: &[Self], gaps: &GapNumbers) -> Self {
-                let (mut sum, mut count) = (0, 0);
-                for x in few.iter().filter(|x| !gaps.contains(**x as f64)) {
-                    sum += <$sum>::from(*x);
-                    count += 1;
-                }
-                if count == 0 {
-                    return few[0];
-                }
-                let (mean, rest) = (sum.div_euclid(count), sum.rem_euclid(count));
+            fn compared(self) -> f64 {
+                self as f64
+            }
+
+            fn add(sum: $sum, x: Self) -> $sum {
+                sum + <$sum>::from(x)
+            }
+
+            fn mean(sum: $sum, num: u32) -> Option<Self> {
+                let count = <$sum>::try_from(num).ok()?;
+                let (mean, rest) = match num.is_power_of_two() {
+                    true => (sum >> num.trailing_zeros(), sum & (count - 1)),
+                    false => (sum.div_euclid(count), sum.rem_euclid(count)),
+                };
                 let is_up = 2 * rest > count || (2 * rest == count && mean % 2 != 0);
                 // The mean lies between the least and the greatest.
-                (mean + <$sum>::from(is_up)) as Self
+                Some((mean + <$sum>::from(is_up)) as Self)
+            }
+
+            fn share(self, num: u32) -> Self {
+                (<$sum>::from(self) / <$sum>::try_from(num).unwrap_or(1)) as Self
+            }
+
+            fn plus(self, other: Self) -> Self {
+                self.saturating_add(other)
             }
         }
     )*};
@@ -139,6 +248,9 @@ integers! {
 macro_rules! floats {
     ($($t:ty, $n:literal, $to:expr, $from:expr;)*) => {$(
         impl Number<$n> for $t {
+            type Sum = f64;
+            const ZERO: f64 = -0.0;
+
             fn of_bytes(bytes: [u8; $n]) -> Self {
                 Self::from_le_bytes(bytes)
             }
@@ -147,12 +259,33 @@ macro_rules! floats {
                 self.to_le_bytes()
             }
 
+            fn is_finite(self) -> bool {
+                <$t>::is_finite(self)
+            }
+
             fn comparable(gaps: &GapNumbers) -> GapNumbers {
                 gaps.in_single()
             }
 
-            fn mean(few: &[Self], gaps: &GapNumbers) -> Self {
-                mean_of_floats(few.iter().map(|x| $to(*x)), gaps).map_or(few[0], $from)
+            // Readers compare markers in single precision.
+            fn compared(self) -> f64 {
+                single($to(self)).into()
+            }
+
+            fn add(sum: f64, x: Self) -> f64 {
+                sum + $to(x)
+            }
+
+            fn mean(sum: f64, num: u32) -> Option<Self> {
+                sum.is_finite().then(|| $from(sum / f64::from(num)))
+            }
+
+            fn share(self, num: u32) -> Self {
+                $from($to(self) / f64::from(num))
+            }
+
+            fn plus(self, other: Self) -> Self {
+                self + other
             }
         }
     )*};
@@ -164,29 +297,15 @@ floats! {
     f64, 8, |x| x, |x| x;
 }
 
-/// The mean of finite numbers that are no gaps; `None` without any.
-fn mean_of_floats(few: impl Iterator<Item = f64> + Clone, gaps: &GapNumbers) -> Option<f64> {
-    // Readers compare markers in single precision.
-    let is_gap = |x: f64| gaps.contains(single(x).into());
-    let valid = || few.clone().filter(|x| x.is_finite() && !is_gap(*x));
-    let count = valid().count() as f64;
-    if count == 0.0 {
-        return None;
-    }
-    let sum: f64 = valid().sum();
-    // A sum of the largest numbers is infinite, and that of their shares is not.
-    Some(if sum.is_finite() { sum / count } else { valid().map(|x| x / count).sum() })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn of<T: Number<N>, const N: usize>(numbers: &[T], rule: Rule) -> T {
-        match rule {
-            Rule::Mean(gaps) => T::mean(numbers, &T::comparable(&gaps)),
-            Rule::Majority => majority(numbers),
-        }
+        let bytes = numbers.iter().flat_map(|x| x.to_bytes()).collect();
+        let row = NumberBox { bytes, dims: [numbers.len(), 1, 1] };
+        let one = row.reduce::<T, N>(row.dims, &rule).bytes;
+        T::of_bytes(*one.first_chunk().unwrap())
     }
 
     fn plain() -> Rule {

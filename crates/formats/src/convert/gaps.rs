@@ -3,6 +3,7 @@
 use half::f16;
 use serde::{Deserialize, Serialize};
 
+use super::average::Rule;
 use crate::decode::{Extremes, near_zero, single};
 use crate::dtype::Dtype;
 use crate::padding::{GapNumbers, NEAR, OF_CT, are_padding};
@@ -12,7 +13,7 @@ use crate::units::may_be_hounsfield;
 /// What is known of the numbers of one channel at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "StoredTally", into = "StoredTally")]
-pub(super) struct Tally {
+pub(crate) struct Tally {
     extremes: Extremes,
     num: u64,
     num_not_finite: u64,
@@ -22,11 +23,11 @@ pub(super) struct Tally {
 
 impl Tally {
     /// Of no numbers.
-    pub(super) const NONE: Self =
+    pub(crate) const NONE: Self =
         Self { extremes: Extremes::NONE, num: 0, num_not_finite: 0, of_ct: [[0; 2]; OF_CT.len()] };
 
     /// Of little-endian numbers. `map` is the slope and intercept of their values.
-    pub(super) fn of(bytes: &[u8], dtype: Dtype, map: (f64, f64)) -> Self {
+    pub(crate) fn of(bytes: &[u8], dtype: Dtype, map: (f64, f64)) -> Self {
         macro_rules! of {
             ($list:ident, $t:ty, $single:expr) => {{
                 let numbers = bytes.as_chunks().0.iter().map(|b| <$t>::from_le_bytes(*b));
@@ -97,7 +98,7 @@ impl Tally {
     }
 
     /// Of the numbers of both.
-    pub(super) fn and(mut self, other: Self) -> Self {
+    pub(crate) fn and(mut self, other: Self) -> Self {
         self.extremes = self.extremes.and(other.extremes);
         self.num += other.num;
         self.num_not_finite += other.num_not_finite;
@@ -108,12 +109,12 @@ impl Tally {
     }
 
     /// How many numbers are not finite.
-    pub(super) fn num_not_finite(&self) -> u64 {
+    pub(crate) fn num_not_finite(&self) -> u64 {
         self.num_not_finite
     }
 
     /// The number that marks voxels without a value, in a file that says nothing about that.
-    pub(super) fn gap(&self, plan: &Plan) -> Option<f64> {
+    pub(crate) fn gap(&self, plan: &Plan) -> Option<f64> {
         let (least, greatest) = self.extremes.range();
         if plan.dtype.integer_range().is_none() && plan.has_gaps {
             let filled = match self.num_not_finite {
@@ -137,22 +138,43 @@ impl Tally {
     }
 
     /// Whether a number may occur.
-    pub(super) fn may_have(&self, number: f64) -> bool {
+    pub(crate) fn may_have(&self, number: f64) -> bool {
         let (least, greatest) = self.extremes.range();
         (f64::from(least)..=f64::from(greatest)).contains(&number)
     }
 }
 
-/// The numbers that mark voxels without a value, as the file tells them.
-pub(super) fn told_gaps(plan: &Plan) -> GapNumbers {
+/// The numbers that mark voxels without a value, as the file tells them. Attributes have a list and one range of what is
+/// valid. So a short range of whole numbers that are none is listed, and a long one bounds what is valid: from below if
+/// it begins at or below zero, or else from above.
+pub(crate) fn told_gaps(plan: &Plan) -> GapNumbers {
     let told = plan.missing.values.iter().map(|value| number_of(plan, *value));
     let mut numbers: Vec<f64> = told.filter(|x| x.is_finite()).collect();
     numbers.dedup();
-    let valid = plan.missing.valid.map(|(lo, hi)| {
+    let both = |&(lo, hi): &(f64, f64)| {
         let (a, b) = (number_of(plan, lo), number_of(plan, hi));
         // JSON has no infinite numbers.
         (a.min(b).max(f64::MIN), a.max(b).min(f64::MAX))
-    });
+    };
+    // The number after another one, or before it.
+    let next = |x: f64, step: f64| match plan.dtype.integer_range() {
+        Some(_) => x + step,
+        None if step > 0.0 => x.next_up(),
+        None => x.next_down(),
+    };
+    let mut valid = plan.missing.valid.as_ref().map(both);
+    for (lo, hi) in plan.missing.ranges.iter().map(both) {
+        if plan.dtype.integer_range().is_some() && hi - lo < MOST_LISTED {
+            numbers.extend((0..=(hi - lo) as u32).map(|i| lo + f64::from(i)));
+            continue;
+        }
+        let (least, greatest) = valid.unwrap_or((f64::MIN, f64::MAX));
+        valid = Some(if lo <= 0.0 {
+            (least.max(next(hi, 1.0)), greatest)
+        } else {
+            (least, greatest.min(next(lo, -1.0)))
+        });
+    }
     GapNumbers { numbers, valid }
 }
 
@@ -164,11 +186,27 @@ fn number_of(plan: &Plan, value: f64) -> f64 {
 }
 
 /// The gap that all volumes of an image share, if each that may have the number takes it for one.
-pub(super) fn shared_gap(tallies: &[Tally], gaps: &[Option<f64>]) -> Option<f64> {
+fn shared_gap(tallies: &[Tally], gaps: &[Option<f64>]) -> Option<f64> {
     let gap = gaps.iter().flatten().next().copied()?;
     let agrees =
         |(tally, own): (&Tally, &Option<f64>)| *own == Some(gap) || (own.is_none() && !tally.may_have(gap));
     tallies.iter().zip(gaps).all(agrees).then_some(gap)
+}
+
+/// How the voxels of coarser levels are made, by the tally of each time and channel, and the numbers of voxels without a
+/// value that all of these share.
+pub(crate) fn level_rules(plan: &Plan, tallies: &[Tally], are_labels: bool) -> (GapNumbers, Vec<Rule>) {
+    let told = Some(told_gaps(plan)).filter(|told| !are_labels && *told != GapNumbers::default());
+    let gap = |tally: &Tally| tally.gap(plan).filter(|_| !are_labels && told.is_none());
+    let gaps: Vec<Option<f64>> = tallies.iter().map(gap).collect();
+    let one = |gap: Option<f64>| GapNumbers { numbers: gap.into_iter().collect(), valid: None };
+    let all = told.clone().unwrap_or_else(|| one(shared_gap(tallies, &gaps)));
+    let rule = |gap: &Option<f64>| match &told {
+        _ if are_labels => Rule::Majority,
+        Some(told) => Rule::Mean(told.clone()),
+        None => Rule::Mean(one(*gap)),
+    };
+    (all, gaps.iter().map(rule).collect())
 }
 
 /// A [`Tally`] in numbers that JSON can hold.
@@ -194,6 +232,8 @@ impl From<Tally> for StoredTally {
     }
 }
 
+/// Most numbers of a range that are listed.
+const MOST_LISTED: f64 = 32.0;
 /// No padding of CT, and nothing near it, has a greater value.
 const HIGHEST_OF_CT: f32 = -1020.0;
 

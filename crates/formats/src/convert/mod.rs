@@ -5,9 +5,9 @@
 //! memory, or in a file where it is too large, and written. Files of chunks are read part by part. Each coarser level is
 //! made from the chunks of the one above.
 
-mod average;
+pub(crate) mod average;
 mod finest;
-mod gaps;
+pub(crate) mod gaps;
 mod layout;
 mod levels;
 mod part;
@@ -18,17 +18,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use self::average::Rule;
-use self::gaps::{Tally, shared_gap, told_gaps};
+use self::gaps::{Tally, level_rules};
 use self::layout::Layout;
 use self::part::{Journal, PartFolder, files_of};
 use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
+use crate::labels::{judged_part, told_labels};
 use crate::outline::Level;
 use crate::padding::GapNumbers;
+use crate::paged::open_paged;
 use crate::plan::{Chosen, Plan, Role, VolumeFile};
-use crate::reading::Meaning;
-use crate::selection::{Region, Selection};
+use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name, open, open_any};
 use crate::web::is_address;
 use crate::zarr::{ArrayWriter, ImageFacts, PyramidLevel, pyramid_levels, write_document};
@@ -172,8 +172,9 @@ impl<'a> Conversion<'a> {
     /// source is damaged.
     pub fn run(mut self) -> Result<Converted, FormatError> {
         match self.make() {
-            Ok(found) => {
+            Ok(mut found) => {
                 self.part.finish(&self.target)?;
+                found.notes.extend(leave_index(&self.target, &self.options));
                 Ok(found)
             }
             // A full disk, a slow server and a person who stops are no reason to begin anew. A damaged file is.
@@ -200,19 +201,9 @@ impl<'a> Conversion<'a> {
             None => self.are_labels(),
         };
         self.journal.are_labels = Some(are_labels);
-        let told = Some(told_gaps(&self.plan)).filter(|told| !are_labels && *told != GapNumbers::default());
-        let gap = |tally: &Tally| tally.gap(&self.plan).filter(|_| !are_labels && told.is_none());
-        let gaps: Vec<_> = self.journal.tallies.iter().map(gap).collect();
-        let one = |gap: Option<f64>| GapNumbers { numbers: gap.into_iter().collect(), valid: None };
-        let all = told.clone().unwrap_or_else(|| one(shared_gap(&self.journal.tallies, &gaps)));
+        let (all, rules) = level_rules(&self.plan, &self.journal.tallies, are_labels);
         self.describe(are_labels, &all)?;
         self.part.note(&self.journal)?;
-        let rule = |gap: &Option<f64>| match &told {
-            _ if are_labels => Rule::Majority,
-            Some(told) => Rule::Mean(told.clone()),
-            None => Rule::Mean(one(*gap)),
-        };
-        let rules: Vec<Rule> = gaps.iter().map(rule).collect();
         self.write_coarser(&rules)?;
         Ok(Converted { are_labels, notes })
     }
@@ -248,22 +239,10 @@ impl<'a> Conversion<'a> {
 
     /// Whether the voxels are labels, as the file, the person or the look of the finest level says.
     fn are_labels(&self) -> bool {
-        match self.options.reading.voxels {
-            Some(meaning) => return meaning == Meaning::Labels,
-            None if self.plan.are_labels || !self.plan.labels.is_empty() => return true,
-            None => {}
+        if let Some(known) = told_labels(&self.plan, self.options.reading.voxels, self.num_channels()) {
+            return known;
         }
-        if self.plan.dtype.integer_range().is_none() || self.num_channels() > 1 || self.plan.num_joint > 1 {
-            return false;
-        }
-        let bytes_each = self.plan.dtype.num_bytes_in_memory() as u64 + 1;
-        let most = (self.options.max_bytes / 4 / bytes_each).min(MOST_JUDGED);
-        let side = ((most as f64).cbrt() as u64).max(1);
-        // The middle of the volume.
-        let region = Region {
-            min: self.layout.dims.map(|n| (n.saturating_sub(side) / 2) as u32),
-            max: self.layout.dims.map(|n| Some((n.saturating_sub(side) / 2 + n.min(side)) as u32)),
-        };
+        let region = judged_part(self.layout.dims, self.plan.dtype, self.options.max_bytes);
         let selection =
             Selection { level: Some(0), time: Some(0), region: Some(region), ..Selection::default() };
         let options = OpenOptions {
@@ -320,7 +299,8 @@ impl<'a> Conversion<'a> {
             done += weight * here / (num as f64).max(1.0);
             rest -= here;
         }
-        (done / all) as f32
+        let share = if self.options.index_folder.is_some() { SHARE_BEFORE_INDEX } else { 1.0 };
+        (done / all) as f32 * share
     }
 
     fn num_finest_steps(&self) -> u64 {
@@ -334,6 +314,33 @@ impl<'a> Conversion<'a> {
         let max_bytes = if self.is_chunked { self.options.max_bytes / 4 } else { self.options.max_bytes };
         let options = OpenOptions { selection, max_bytes, ..self.options };
         Ok((options, open_any(self.source, &options)?.1))
+    }
+}
+
+/// Keeps the index of an image that was made, in the folder of the options. Returns a word if that fails: the image is
+/// whole all the same.
+fn leave_index(image: &Path, options: &OpenOptions) -> Option<String> {
+    let folder = options.index_folder?;
+    let report = |done: f32| {
+        if let Some(progress) = options.progress {
+            progress(SHARE_BEFORE_INDEX + (1.0 - SHARE_BEFORE_INDEX) * done);
+        }
+    };
+    let OpenOptions { max_bytes, cancel, .. } = *options;
+    let own = OpenOptions { index_folder: Some(folder), max_bytes, cancel, ..OpenOptions::default() };
+    let keep = || -> Result<(), FormatError> {
+        let paged = open_paged(&image.to_string_lossy(), &own)?;
+        if !paged.is_indexed() {
+            paged.keep_index(&paged.build_index(Some(&report), cancel)?)?;
+        }
+        Ok(())
+    };
+    match keep() {
+        Ok(()) => None,
+        Err(FormatError::Cancelled { .. }) => {
+            Some("it is whole and has no index: it was stopped there".into())
+        }
+        Err(e) => Some(format!("it is whole and has no index: {e}")),
     }
 }
 
@@ -399,10 +406,10 @@ fn fingerprint(source: &str, path: &Path, options: &OpenOptions, plan: &Plan, nu
     format!("{version}; {}; {files}; {options}; {found}; {num_groups}", real.display())
 }
 
+/// The part of the work that is done before the index is made.
+const SHARE_BEFORE_INDEX: f32 = 0.85;
 /// Voxels along a side of a chunk.
 const SIDE: u64 = 64;
 /// Chunks that a thread has in memory at once: eight of the level above, one that is made, and its packed forms.
 const WORKING_CHUNKS: u64 = 12;
 const MOST_THREADS: u64 = 32;
-/// Most voxels that are looked at to tell labels from values.
-const MOST_JUDGED: u64 = 512 * 512 * 512;

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::gaps::Tally;
 use crate::error::{FormatError, io_error, shown};
 use crate::output::{PREFIX, SUFFIX, folder_of, sync_folder, sync_folders, write_synced};
+use crate::source::read_file;
 
 /// The folder of an unfinished conversion, locked as long as this value lives.
 pub(super) struct PartFolder {
@@ -67,7 +68,7 @@ impl PartFolder {
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
         let part = Self { path, _lock: lock };
-        let known = fs::read(part.path.join(JOURNAL)).ok();
+        let known = read_file(&part.path.join(JOURNAL), MOST_BYTES_OF_JOURNAL).ok().flatten();
         let known: Option<Journal> = known.and_then(|bytes| serde_json::from_slice(&bytes).ok());
         if let Some(journal) = known.filter(|journal| journal.fingerprint == fingerprint) {
             return Ok((part, journal));
@@ -178,6 +179,7 @@ fn fnv(bytes: &[u8]) -> u64 {
 }
 
 const JOURNAL: &str = "journal.json";
+const MOST_BYTES_OF_JOURNAL: u64 = 1 << 30;
 /// The ends of names of headers whose voxels are in other files.
 const MAY_NAME_OTHERS: [&str; 8] = ["nhdr", "mhd", "hdr", "img", "tif", "tiff", "ome", "xml"];
 /// Most files of a folder that are looked at.

@@ -94,6 +94,12 @@ impl Elements {
             .filter(|x| x.is_finite())
     }
 
+    /// A float of 32 bits.
+    pub(super) fn float(&self, tag: Tag) -> Option<f32> {
+        let bits = self.longs(tag).next()?;
+        Some(f32::from_bits(bits)).filter(|x| x.is_finite())
+    }
+
     /// All binary numbers of 32 bits.
     pub(super) fn longs(&self, tag: Tag) -> impl Iterator<Item = u32> {
         let is_big = self.endian == Endian::Big;

@@ -31,8 +31,8 @@ pub(super) struct Frame {
     /// The keys by which it may differ from others at the same position.
     pub(super) keys: Arc<Keys>,
     pub(super) scale: Scale,
-    /// The number of pixels outside of the picture, as far as it is known.
-    pub(super) padding: Option<f64>,
+    /// The least and the greatest number of pixels outside of the picture, as far as they are known.
+    pub(super) padding: Option<(f64, f64)>,
     /// The values that it shows black and white, if it says so.
     pub(super) window: Option<(f64, f64)>,
 }
@@ -207,6 +207,7 @@ fn stacks_of(
     let modality = modality_of(fields);
     let unit = own.first().and_then(|o| o.unit.as_deref()).or(shared.unit.as_deref());
     let value_unit = unit_of(unit, &modality);
+    let padding = padding_of(fields, &shape);
     let mut stacks: Vec<FileStack> = Vec::new();
     for i in 0..num_frames {
         let own_position = own.get(i).and_then(|o| o.position);
@@ -227,9 +228,7 @@ fn stacks_of(
                 let slope = get(i, |o| o.slope).filter(|s| *s != 0.0).unwrap_or(1.0);
                 Scale::Linear(slope, get(i, |o| o.intercept).unwrap_or(0.0))
             }),
-            padding: fields
-                .short(tags::PIXEL_PADDING)
-                .map(|bits| if shape.is_signed { f64::from(bits as i16) } else { f64::from(bits) }),
+            padding,
             window: own.get(i).and_then(|o| o.window).or(shared.window),
         };
         let plane = own.get(i).map(|o| &o.plane);
@@ -269,6 +268,21 @@ pub(super) fn series_name(fields: &Elements) -> String {
 pub(super) fn modality_of(fields: &Elements) -> Option<String> {
     let is_word = |m: &String| m.len() <= 16 && m.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
     fields.text(tags::MODALITY).filter(is_word)
+}
+
+/// The least and the greatest number that stand for no value (PS3.3, C.7.5.1.1.2 and C.7.6.3.1.1). They are stored
+/// numbers, before any rescaling. Without a limit, there is one.
+fn padding_of(fields: &Elements, shape: &Shape) -> Option<(f64, f64)> {
+    let number = |[short, float, double]: [tags::Tag; 3]| match (shape.is_float, shape.bits_allocated) {
+        (true, 64) => fields.double(double),
+        (true, _) => fields.float(float).map(f64::from),
+        (false, _) if shape.is_signed => fields.short(short).map(|bits| f64::from(bits as i16)),
+        (false, _) => fields.short(short).map(f64::from),
+    };
+    let padding = number([tags::PIXEL_PADDING, tags::FLOAT_PADDING, tags::DOUBLE_PADDING])?;
+    let limit = number([tags::PADDING_LIMIT, tags::FLOAT_PADDING_LIMIT, tags::DOUBLE_PADDING_LIMIT]);
+    let limit = limit.unwrap_or(padding);
+    Some((padding.min(limit), padding.max(limit)))
 }
 
 /// The positions of frames that have none of their own. The file has the position of the first, and distances.

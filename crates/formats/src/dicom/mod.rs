@@ -13,44 +13,33 @@ mod resample;
 mod segmentation;
 mod series;
 mod shape;
+mod slices;
 mod tags;
 
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use self::frame::{Contents, Frame, Scale, read_file};
+use self::frame::{Contents, Scale, read_file};
 use self::resample::Resampling;
 use self::segmentation::Segmentation;
 use self::series::{Series, Stacked};
 use self::shape::Shape;
+use self::slices::DicomSlices;
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, not_there, shown};
-use crate::plan::{Axis, ChannelLook, Plan, Role, VolumeFile};
+use crate::plan::{Axis, BoxLevel, ChannelLook, Plan, Role, VolumeFile};
+use crate::planes::plane_level;
 use crate::source::{OpenOptions, file_name, open_file};
 use crate::warning::WarningKind;
 
 /// A series whose headers were read.
 struct DicomFiles {
     plan: Plan,
-    files: Vec<PathBuf>,
-    shape: Shape,
-    /// Slices in the order of the plan: along the normal, then in time.
-    frames: Vec<Frame>,
-    num_slices: usize,
-    resampling: Option<Resampling>,
-    /// Whether voxels are floats, because each slice has its own scale.
-    is_rescaled: bool,
-    open: Option<(usize, File)>,
-    /// The latest mosaic, because it has many slices.
-    mosaic: Option<DecodedMosaic>,
-}
-
-/// A picture of many slices.
-struct DecodedMosaic {
-    file: usize,
-    bytes: Vec<u8>,
+    slices: Arc<DicomSlices>,
+    /// Most bytes of memory.
+    max_bytes: u64,
 }
 
 /// Whether `start` begins a DICOM file. It needs the mark, or an element of group 8 or 2 at its start.
@@ -205,7 +194,8 @@ impl DicomFiles {
         axes.insert(if shape.is_planar { 2 } else { 0 }, samples);
         axes.push(Axis { size: num_shown as u64, role: Role::Space(2) });
         axes.push(Axis { size: num_times as u64, role: Role::Time });
-        let format = format!("DICOM, {}", shape.coding.name());
+        let how = if resampling.is_some() { ", resampled" } else { "" };
+        let format = format!("DICOM, {}{how}", shape.coding.name());
         let mut plan = Plan::new(format, dtype, Endian::Little, axes, stacked.geometry);
         plan.spacing_guess = stacked.spacing_guess;
         plan.modality = stacked.modality;
@@ -227,13 +217,16 @@ impl DicomFiles {
             let sign = if shape.is_inverted { -1.0 } else { 1.0 };
             plan.value_map = (sign * slope, slope * sum + intercept);
         }
-        let padding = frames.first().filter(|_| shape.samples == 1).and_then(|frame| {
-            let number = frame.padding?;
+        // Floats have no number where there is padding.
+        if let Some((least, greatest)) = frames[0].padding.filter(|_| shape.samples == 1 && !is_rescaled) {
             let (scale, offset) = plan.value_map;
-            let upright = if shape.is_inverted { inverted_sum(&shape) - number } else { number };
-            Some(if is_rescaled { frame.scale.value(upright) } else { scale * number + offset })
-        });
-        plan.missing.values.extend(padding);
+            let (a, b) = (scale * least + offset, scale * greatest + offset);
+            if least == greatest {
+                plan.missing.values.push(a);
+            } else {
+                plan.missing.ranges.push((a.min(b), a.max(b)));
+            }
+        }
         if shape.is_inverted {
             plan.warn(WarningKind::Values, "the least value is white (MONOCHROME1); values were inverted");
         }
@@ -248,100 +241,9 @@ impl DicomFiles {
         if is_lone_slice && frames.len() == 1 {
             plan.warn(WarningKind::Data, "the file is one slice; its folder is a series");
         }
-        Self { plan, files, shape, frames, num_slices, resampling, is_rescaled, open: None, mosaic: None }
-    }
-
-    /// The numbers of a frame as they are stored.
-    fn decode(&mut self, index: usize) -> Result<Vec<u8>, FormatError> {
-        let frame = &self.frames[index];
-        let path = &self.files[frame.file];
-        if self.open.as_ref().is_none_or(|(file, _)| *file != frame.file) {
-            self.open = Some((frame.file, open_file(path)?));
-        }
-        let Some((_, file)) = &mut self.open else { return Ok(Vec::new()) };
-        let mut decode = || {
-            pixels::decode(file, frame, &self.shape)
-                .map_err(|problem| FormatError::Data { path: shown(path), problem })
-        };
-        if self.shape.tiles == 1 {
-            return decode();
-        }
-        // A file with a mosaic has no other picture.
-        let known = self.mosaic.take().filter(|mosaic| mosaic.file == frame.file);
-        let bytes = match known {
-            Some(mosaic) => mosaic.bytes,
-            None => decode()?,
-        };
-        let slice = pixels::tile(&bytes, frame, &self.shape);
-        self.mosaic = Some(DecodedMosaic { file: frame.file, bytes });
-        Ok(slice)
-    }
-
-    /// The numbers of a frame as the plan has them.
-    fn voxels(&mut self, index: usize) -> Result<Vec<u8>, FormatError> {
-        let bytes = self.decode(index)?;
-        if !self.is_rescaled {
-            return Ok(bytes);
-        }
-        let value = |number| self.value(index, number).to_le_bytes();
-        Ok(numbers(&bytes, self.shape.dtype()).flat_map(value).collect())
-    }
-
-    /// The value of a stored number.
-    fn value(&self, index: usize, number: f64) -> f32 {
-        let number = if self.shape.is_inverted { inverted_sum(&self.shape) - number } else { number };
-        self.frames[index].scale.value(number) as f32
-    }
-
-    /// The numbers of a frame as the plan has them, but NaN outside of the picture. `outside` becomes the number that
-    /// is to stand there.
-    fn numbers(&mut self, index: usize, outside: &mut Option<f32>) -> Result<Vec<f32>, FormatError> {
-        let bytes = self.decode(index)?;
-        let padding = self.frames[index].padding;
-        let (is_rescaled, is_inverted) = (self.is_rescaled, self.shape.is_inverted);
-        let in_plan = |number: f64| if is_rescaled { self.value(index, number) } else { number as f32 };
-        let list: Vec<f32> = numbers(&bytes, self.shape.dtype())
-            .map(|number| if Some(number) == padding { f32::NAN } else { in_plan(number) })
-            .collect();
-        let darkest = || {
-            let is_highest = is_inverted && !is_rescaled;
-            list.iter().copied().reduce(if is_highest { f32::max } else { f32::min }).filter(|x| !x.is_nan())
-        };
-        *outside = padding.map(in_plan).or_else(darkest).or(*outside);
-        Ok(list)
-    }
-
-    /// A slice of evenly spaced ones, in the numbers of the plan.
-    fn resampled(
-        &mut self,
-        resampling: &Resampling,
-        time: usize,
-        slice: usize,
-        latest: &mut Vec<(usize, Vec<f32>)>,
-        outside: &mut Option<f32>,
-    ) -> Result<Vec<u8>, FormatError> {
-        let pixels = resampling.slice(slice, |i| {
-            let index = time * self.num_slices + i;
-            if let Some((_, known)) = latest.iter().find(|(at, _)| *at == index) {
-                return Ok(known.clone());
-            }
-            let list = self.numbers(index, outside)?;
-            latest.truncate(1);
-            latest.insert(0, (index, list.clone()));
-            Ok(list)
-        })?;
-        let outside = outside.unwrap_or(0.0);
-        let pixels = pixels.into_iter().map(|x| if x.is_nan() { outside } else { x });
-        Ok(match self.plan.dtype {
-            Dtype::Uint8 => pixels.map(|x| x.round() as u8).collect(),
-            Dtype::Int8 => pixels.map(|x| x.round() as i8 as u8).collect(),
-            Dtype::Uint16 => pixels.flat_map(|x| (x.round() as u16).to_le_bytes()).collect(),
-            Dtype::Int16 => pixels.flat_map(|x| (x.round() as i16).to_le_bytes()).collect(),
-            Dtype::Uint32 => pixels.flat_map(|x| (x.round() as u32).to_le_bytes()).collect(),
-            Dtype::Int32 => pixels.flat_map(|x| (x.round() as i32).to_le_bytes()).collect(),
-            Dtype::Double => pixels.flat_map(|x| f64::from(x).to_le_bytes()).collect(),
-            _ => pixels.flat_map(f32::to_le_bytes).collect(),
-        })
+        let slices =
+            DicomSlices::new(files, shape, frames, num_slices, resampling, (plan.dtype, is_rescaled));
+        Self { plan, slices: Arc::new(slices), max_bytes: options.max_bytes }
     }
 }
 
@@ -351,37 +253,28 @@ impl VolumeFile for DicomFiles {
     }
 
     fn read(&mut self, collector: &mut Collector) -> Result<(), FormatError> {
-        if self.shape.num_bytes() > MAX_FRAME_BYTES {
-            let path = &self.files[0];
-            return Err(collector.data_error(
-                path,
-                format!("a frame of {} bytes, expected at most {MAX_FRAME_BYTES}", self.shape.num_bytes()),
-            ));
-        }
-        let resampling = self.resampling.clone();
-        let num_slices = resampling.as_ref().map_or(self.num_slices, Resampling::num_slices);
-        let num_pixels = resampling
-            .as_ref()
-            .map_or(self.shape.num_pixels(), |r| r.shown.iter().map(|n| *n as u64).product());
-        let in_frame = num_pixels * u64::from(self.shape.samples);
-        let (mut latest, mut outside) = (Vec::new(), None);
-        for i in 0..num_slices * (self.frames.len() / self.num_slices) {
+        self.slices.check_size()?;
+        let in_slice = self.plan.axes.iter().take(3).map(|axis| axis.size).product();
+        for i in 0..self.slices.len() {
             if collector.is_done() {
                 break;
             }
-            if collector.gap() >= in_frame {
-                collector.pass(in_frame);
+            if collector.gap() >= in_slice {
+                collector.pass(in_slice);
                 continue;
             }
-            let bytes = match &resampling {
-                Some(resampling) => {
-                    self.resampled(resampling, i / num_slices, i % num_slices, &mut latest, &mut outside)?
-                }
-                None => self.voxels(i)?,
-            };
-            collector.push(&bytes)?;
+            collector.push(&self.slices.slice(i)?)?;
         }
         Ok(())
+    }
+
+    fn data_files(&self) -> Vec<PathBuf> {
+        self.slices.files().to_vec()
+    }
+
+    fn boxes(&self, path: &Path) -> Result<Vec<BoxLevel>, FormatError> {
+        self.slices.check_size()?;
+        plane_level(&self.plan, Arc::clone(&self.slices), self.max_bytes, path)
     }
 }
 
@@ -389,25 +282,3 @@ impl VolumeFile for DicomFiles {
 fn inverted_sum(shape: &Shape) -> f64 {
     if shape.is_signed { -1.0 } else { 2f64.powi(shape.bits_stored.into()) - 1.0 }
 }
-
-/// The numbers in little-endian words of this type.
-fn numbers(bytes: &[u8], dtype: Dtype) -> Box<dyn Iterator<Item = f64> + '_> {
-    macro_rules! of {
-        ($t:ty) => {
-            Box::new(bytes.as_chunks().0.iter().map(|b| <$t>::from_le_bytes(*b) as f64))
-        };
-    }
-    match dtype {
-        Dtype::Uint8 => of!(u8),
-        Dtype::Int8 => of!(i8),
-        Dtype::Uint16 => of!(u16),
-        Dtype::Int16 => of!(i16),
-        Dtype::Uint32 => of!(u32),
-        Dtype::Int32 => of!(i32),
-        Dtype::Double => of!(f64),
-        _ => of!(f32),
-    }
-}
-
-/// Largest frame, decompressed.
-const MAX_FRAME_BYTES: u64 = 1 << 30;

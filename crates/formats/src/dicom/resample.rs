@@ -66,6 +66,11 @@ impl Resampling {
         self.slices.len()
     }
 
+    /// The stored slice beside a shown one: the one above, or the last one below where there is nothing.
+    pub(super) fn beside(&self, k: usize) -> usize {
+        self.slices[..=k].iter().rev().flatten().next().map_or(0, |(_, above, _)| *above)
+    }
+
     /// The pixels of a shown slice. `stored` returns those of a stored one, which are NaN where there is nothing.
     pub(super) fn slice<E>(
         &self,

@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use super::bdv_xml::BdvXml;
-use super::contents::{ArrayFile, FORMAT, Listed, Standing};
+use super::contents::{ArrayFile, FORMAT, Listed};
 use super::coordinates::Scales;
 use super::image::ArrayImage;
 use super::links::Inventory;
 use super::outside::{self, OutsideArray};
 use super::storage::StorageForm;
 use super::{array_plan, bdv, chimerax, dialects, imaris, openpmd};
+use crate::cf::{Standing, VolumeCandidate};
 use crate::error::{FormatError, malformed, not_there, quoted};
 use crate::foreign::HomeFolder;
 use crate::plan::Plan;
@@ -42,14 +43,8 @@ pub(super) struct Choice<'a> {
     pub(super) cancel: Option<&'a AtomicBool>,
 }
 
-/// A volume of a file.
-struct Candidate<'a> {
-    listed: &'a Listed,
-    /// Voxels along its axes in space.
-    sizes: Vec<u64>,
-    /// The other file that has it.
-    outside: Option<&'a OutsideArray>,
-}
+/// An array, and the other file that has it.
+type ArrayOfFile<'a> = (&'a Listed, Option<&'a OutsideArray>);
 
 /// Chooses what is shown at `inside` or below it: the series that is wanted, or the usual one.
 pub(super) fn choose(
@@ -114,24 +109,28 @@ fn choose_array(
         "/" => Inventory::default(),
         _ => contents.inventory("/", path, choice.cancel)?,
     };
-    let scales = Scales::of(if inside == "/" { &own.arrays } else { &whole.arrays });
+    // An array that a link leads to has its path there too.
+    let is_in_whole = |array: &Listed| whole.arrays.binary_search_by(|a| a.path.cmp(&array.path)).is_ok();
+    let own_only = own.arrays.iter().filter(|array| !is_in_whole(array));
+    let scales = Scales::of(&whole.arrays.iter().chain(own_only).collect::<Vec<_>>());
     let (outside, notes) = outside::arrays(&own.outside, path, choice)?;
-    let volumes = candidates(&own.arrays, &outside, &scales);
+    let (candidates, arrays) = candidates(&own.arrays, &outside, &scales);
+    let volumes = VolumeCandidate::shown(&candidates);
     if volumes.is_empty() {
         return Err(bad(nothing_to_show(inside, &own.arrays, &scales, &notes)));
     }
-    let num_voxels = |i: usize| volumes[i].sizes.iter().fold(1u64, |n, side| n.saturating_mul(*side));
-    let standing = |i: usize| volumes[i].listed.standing;
-    let usual = (0..volumes.len()).rev().max_by_key(|&i| (standing(i), num_voxels(i))).unwrap_or(0);
-    let names: Vec<String> = volumes.iter().map(|volume| volume.listed.description()).collect();
+    let usual = VolumeCandidate::usual(&candidates, &volumes);
+    let names: Vec<String> = volumes.iter().map(|n| arrays[*n].0.description()).collect();
     let index = choice.series.map_or(usual, |i| i as usize);
-    let Some(Candidate { listed, outside, .. }) = volumes.get(index) else {
+    let Some(&number) = volumes.get(index) else {
         return Err(not_there(path, "series", index as u64, volumes.len()));
     };
+    let (listed, outside) = arrays[number];
     let mut warnings: Vec<Warning> =
         notes.into_iter().take(MAX_NOTES).map(|text| Warning::new(WarningKind::Data, text)).collect();
     if names.len() > 1 && choice.series.is_none() {
-        let what = if standing(index) == Standing::First { "the file's own choice" } else { "the largest" };
+        let is_first = candidates[number].standing == Standing::First;
+        let what = if is_first { "the file's own choice" } else { "the largest" };
         let text = format!("the file has {} arrays, of which {what} is shown: {}", names.len(), names[index]);
         warnings.push(Warning::new(WarningKind::Choice, text));
     }
@@ -148,22 +147,26 @@ fn choose_array(
     Ok(Found::Array(Box::new(plan), listed.path.clone()))
 }
 
-/// The volumes among arrays, by their paths. Planes are volumes only where there is nothing else, or where the file
-/// shows them first.
-fn candidates<'a>(own: &'a [Listed], outside: &'a [OutsideArray], scales: &Scales) -> Vec<Candidate<'a>> {
+/// The arrays that may be volumes, by their paths.
+fn candidates<'a>(
+    own: &'a [Listed],
+    outside: &'a [OutsideArray],
+    scales: &Scales,
+) -> (Vec<VolumeCandidate>, Vec<ArrayOfFile<'a>>) {
     let own = own.iter().map(|listed| (listed, None));
     let outside = outside.iter().map(|array| (&array.listed, Some(array)));
-    let sized = own.chain(outside).filter_map(|(listed, outside)| {
+    let mut all: Vec<ArrayOfFile> = own.chain(outside).collect();
+    all.sort_by(|(a, _), (b, _)| a.path.cmp(&b.path));
+    let sized = all.into_iter().filter_map(|(listed, outside)| {
         let sizes = array_plan::sizes(listed, scales).ok()?;
-        Some(Candidate { listed, sizes, outside })
+        let is_auxiliary = outside.is_none() && scales.is_auxiliary(listed);
+        let standing = match listed.standing {
+            Standing::Usual => Standing::of(is_auxiliary),
+            told => told,
+        };
+        Some((VolumeCandidate { sizes, standing }, (listed, outside)))
     });
-    let mut found: Vec<Candidate> = sized.collect();
-    let sides = |volume: &Candidate| volume.sizes.iter().filter(|n| **n > 1).count();
-    let most = found.iter().map(sides).max().unwrap_or(0);
-    let is_first = |volume: &Candidate| volume.listed.standing == Standing::First;
-    found.retain(|volume| sides(volume) > 1 && (sides(volume) == most || is_first(volume)));
-    found.sort_by(|a, b| a.listed.path.cmp(&b.listed.path));
-    found
+    sized.unzip()
 }
 
 /// Why nothing in a file is a volume. `notes` are those about links to other files.

@@ -10,11 +10,11 @@ use std::thread;
 
 use hdf5_pure::{AttrValue, Datatype, DatatypeByteOrder};
 
-use super::coordinates::Coordinates;
 use super::links::{ObjectPlace, Place};
 use super::objects::{Link, ObjectReader};
 use super::source::{MetadataSource, SharedFile};
 use super::storage::Storage;
+use crate::cf::{AttributeList, Coordinates, Standing, signed_as_told};
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, one_line, quoted};
 
@@ -46,17 +46,6 @@ pub(super) struct Listed {
     /// What the program that wrote it tells of its axes, the slowest first, if that program is known.
     pub(super) told: Option<Vec<Coordinates>>,
     pub(super) standing: Standing,
-}
-
-/// Which array of a file is shown first: the largest of those that stand highest.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Standing {
-    /// Such as a mask.
-    Aside,
-    #[default]
-    Usual,
-    /// The file says that it is to be shown.
-    First,
 }
 
 /// The attributes of an array or a group.
@@ -164,7 +153,9 @@ impl Listed {
         let attributes = Attributes(dataset.attrs().unwrap_or_default());
         let datatype = dataset.datatype()?;
         let standing = if is_truth(&datatype) { Standing::Aside } else { Standing::Usual };
-        let (shape, kind) = (dataset.shape()?, number_type(&datatype));
+        let kind = number_type(&datatype);
+        let kind = kind.map(|(dtype, endian)| (signed_as_told(dtype, &attributes), endian));
+        let shape = dataset.shape()?;
         Ok(Self { path, at, shape, kind, attributes, dataset, told: None, standing })
     }
 
@@ -275,6 +266,20 @@ impl Attributes {
     /// The texts of an attribute; empty if there is none.
     pub(super) fn texts(&self, name: &str) -> &[String] {
         self.0.get(name).and_then(AttrValue::as_strings).unwrap_or_default()
+    }
+}
+
+impl AttributeList for Attributes {
+    fn numbers(&self, name: &str) -> Vec<f64> {
+        Self::numbers(self, name)
+    }
+
+    fn text(&self, name: &str) -> Option<String> {
+        Self::text(self, name)
+    }
+
+    fn has_floats(&self, name: &str) -> bool {
+        self.0.get(name).is_some_and(|value| value.to_f64s().is_some())
     }
 }
 

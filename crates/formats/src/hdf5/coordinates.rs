@@ -4,51 +4,126 @@ use serde_json::Value;
 
 use super::contents::{ArrayFile, Attributes, Listed};
 use super::storage::Storage;
+use crate::cf::{AttributeList, Coordinates, Unit, Variable, Variables, kind_of_name};
 use crate::plan::AxisKind;
-use crate::units::{length_unit, time_unit};
 
-/// An axis of an array.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Coordinates {
-    /// What it is, if the file tells.
-    pub(super) kind: Option<AxisKind>,
-    /// The coordinate of the first number, and the distance of the next, which may be less than zero.
-    pub(super) line: Option<(f64, f64)>,
-    pub(super) unit: Unit,
-    /// Whether the distances differ.
-    pub(super) is_uneven: bool,
-    /// Whether the axis is one of the earth, such as latitude, height or depth.
-    is_of_earth: bool,
+/// The arrays of a file, and which of them are coordinates of others.
+pub(super) struct Scales<'a> {
+    /// The arrays that are variables.
+    arrays: Vec<&'a Listed>,
+    variables: Variables<'a>,
+    is_of_netcdf: bool,
 }
-
-/// The unit of coordinates.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) enum Unit {
-    #[default]
-    None,
-    /// A length in metres, and its short name.
-    Length(f64, &'static str),
-    /// A time in seconds.
-    Time(f64),
-    /// Another one, such as degrees.
-    Other(String),
-}
-
-/// The arrays of a file that are coordinates of others.
-pub(super) struct Scales<'a>(Vec<&'a Listed>);
 
 impl<'a> Scales<'a> {
-    pub(super) fn of(all: &'a [Listed]) -> Self {
+    pub(super) fn of(all: &[&'a Listed]) -> Self {
         let is_scale = |a: &&Listed| {
             a.shape.len() == 1 && a.attributes.text("CLASS").as_deref() == Some("DIMENSION_SCALE")
         };
-        Self(all.iter().filter(is_scale).take(MAX_SCALES).collect())
+        let mut scales: Vec<DimensionScale> =
+            all.iter().copied().filter(is_scale).take(MAX_SCALES).map(DimensionScale::of).collect();
+        scales.sort_by_key(|scale| scale.number);
+        let is_of_netcdf = scales.iter().any(|scale| scale.number.is_some());
+        let arrays: Vec<&Listed> = all.iter().copied().filter(|a| !is_placeholder(a)).collect();
+        let variable = |array: &&'a Listed| Variable {
+            path: array.path.clone(),
+            dims: dims(array, &scales),
+            shape: array.shape.clone(),
+            attributes: &array.attributes,
+        };
+        let variables = Variables::new(arrays.iter().map(variable).collect(), is_of_netcdf);
+        Self { arrays, variables, is_of_netcdf }
     }
 
     /// Whether netCDF wrote them.
     pub(super) fn are_of_netcdf(&self) -> bool {
-        self.0.iter().any(|a| a.attributes.number("_Netcdf4Dimid").is_some())
+        self.is_of_netcdf
     }
+
+    /// Whether an array describes others, as bounds of coordinates do.
+    pub(super) fn is_auxiliary(&self, array: &Listed) -> bool {
+        self.variables.index_of(&array.path).is_some_and(|i| self.variables.is_auxiliary(i))
+    }
+}
+
+/// An array of coordinates.
+struct DimensionScale<'a> {
+    array: &'a Listed,
+    folder: &'a str,
+    /// The number of its dimension in netCDF.
+    number: Option<i64>,
+}
+
+impl<'a> DimensionScale<'a> {
+    fn of(array: &'a Listed) -> Self {
+        let number = array.attributes.number("_Netcdf4Dimid").map(|number| number as i64);
+        Self { array, folder: array.folder(), number }
+    }
+}
+
+/// Whether an array stands for a dimension without coordinates. It says so in its name, and its numbers are not stored.
+fn is_placeholder(array: &Listed) -> bool {
+    array.shape.len() == 1 && array.attributes.text("NAME").is_some_and(|name| name.starts_with(NO_VARIABLE))
+}
+
+/// The paths of the scales of each axis, as far as there are such. NetCDF numbers its dimensions. Otherwise, a scale of
+/// the same group, or of netCDF one above it, belongs to the axis of its length.
+fn dims(array: &Listed, scales: &[DimensionScale]) -> Vec<Option<String>> {
+    let path = |scale: &DimensionScale| scale.array.path.clone();
+    let numbers = array.attributes.numbers("_Netcdf4Coordinates");
+    if numbers.len() == array.shape.len() {
+        let numbered = |(number, length): (&f64, &u64)| {
+            // A dimension that may grow has no numbers of its own, and the length that it had at first.
+            let fits = |s: &DimensionScale| s.array.shape[0] == *length || is_placeholder(s.array);
+            let is_it = |s: &&DimensionScale| s.number == Some(*number as i64) && fits(s);
+            scales.iter().find(is_it).map(path)
+        };
+        return numbers.iter().zip(&array.shape).map(numbered).collect();
+    }
+    let own = array.folder();
+    if scales.iter().any(|scale| scale.array.path == array.path) {
+        return vec![Some(array.path.clone())];
+    }
+    let is_near = |s: &&DimensionScale| {
+        s.folder == own
+            || (s.number.is_some() && own.starts_with(s.folder) && !s.folder.is_empty())
+            || (s.number.is_some() && s.folder.is_empty())
+    };
+    let near: Vec<&DimensionScale> = scales.iter().filter(is_near).collect();
+    let with_length = |length: u64| near.iter().filter(move |s| s.array.shape[0] == length);
+    let is_alone = |length: &u64| {
+        array.shape.iter().filter(|n| *n == length).count() == 1 && with_length(*length).count() == 1
+    };
+    if !array.shape.iter().all(is_alone)
+        && let Some(found) = in_order(&array.shape, &near)
+    {
+        return found;
+    }
+    let alone = |length: &u64| with_length(*length).next().filter(|_| is_alone(length)).map(|s| path(s));
+    array.shape.iter().map(alone).collect()
+}
+
+/// The scales of netCDF for axes of these lengths, if only one choice has them in the order of their numbers.
+fn in_order(shape: &[u64], scales: &[&DimensionScale]) -> Option<Vec<Option<String>>> {
+    let numbered: Vec<&&DimensionScale> = scales.iter().filter(|s| s.number.is_some()).collect();
+    if shape.len() > 8 || numbered.is_empty() {
+        return None;
+    }
+    // One choice takes each scale as early as it can, and the other one as late as it can. They are the same if there
+    // is only one.
+    let early = taken(shape.iter(), numbered.iter());
+    let mut late = taken(shape.iter().rev(), numbered.iter().rev());
+    late.reverse();
+    (early == late && early.iter().all(Option::is_some)).then_some(early)
+}
+
+/// For each length the next scale that has it.
+fn taken<'a>(
+    lengths: impl Iterator<Item = &'a u64>,
+    mut scales: impl Iterator<Item = &'a &'a &'a DimensionScale<'a>>,
+) -> Vec<Option<String>> {
+    let next = |length: &u64| scales.find(|s| s.array.shape[0] == *length).map(|s| s.array.path.clone());
+    lengths.map(next).collect()
 }
 
 /// The axes of `array`, the slowest first. Coordinates are read only from `contents`.
@@ -59,17 +134,21 @@ pub(super) fn of_array(contents: Option<&ArrayFile>, array: &Listed, scales: &Sc
     let mut axes = vec![Coordinates::default(); array.shape.len()];
     set_names(&mut axes, &array.attributes);
     set_tags(&mut axes, &array.attributes);
-    for (axis, scale) in scales.of_axes(array).into_iter().enumerate() {
-        let Some(scale) = scale else { continue };
-        axes[axis].set_scale(contents, scale);
+    let all = contents.and_then(|contents| contents.attributes("/"));
+    let numbers = |i: usize| {
+        let storage = Storage::of(contents?, scales.arrays[i], MAX_SCALE_BYTES);
+        storage.and_then(|s| s.all_numbers()).ok()
+    };
+    if let Some(index) = scales.variables.index_of(&array.path) {
+        let all = all.as_ref().map(|all| &**all as &dyn AttributeList);
+        let numbers: Option<&dyn Fn(usize) -> Option<Vec<f64>>> = contents.is_some().then_some(&numbers);
+        for (axis, found) in axes.iter_mut().zip(scales.variables.axes_of(index, numbers, all)) {
+            let (kind, line) = (axis.kind.or(found.kind), found.line.or(axis.line));
+            *axis = Coordinates { kind, line, ..found };
+        }
     }
     set_element_size(&mut axes, &array.attributes);
     axes
-}
-
-/// Whether the axes in space are of the earth, where y and z point up.
-pub(super) fn are_of_earth(axes: &[Coordinates]) -> bool {
-    axes.iter().any(|axis| axis.is_of_earth)
 }
 
 /// The names of h5py: `DIMENSION_LABELS`.
@@ -109,116 +188,9 @@ fn set_element_size(axes: &mut [Coordinates], attributes: &Attributes) {
     }
 }
 
-impl Scales<'_> {
-    /// The array of coordinates of each axis, as far as there are such. NetCDF numbers its dimensions. Otherwise, a
-    /// scale of the same group belongs to the axis of its length, if no other has this length.
-    fn of_axes(&self, array: &Listed) -> Vec<Option<&Listed>> {
-        let numbers = array.attributes.numbers("_Netcdf4Coordinates");
-        if numbers.len() == array.shape.len() {
-            let numbered = |id: &f64, length: &u64| {
-                let is_it =
-                    |a: &&&Listed| a.attributes.number("_Netcdf4Dimid") == Some(*id) && a.shape[0] == *length;
-                self.0.iter().find(is_it).copied()
-            };
-            return numbers.iter().zip(&array.shape).map(|(id, length)| numbered(id, length)).collect();
-        }
-        let folder = |a: &Listed| a.path.rsplit_once('/').map(|(folder, _)| folder.to_owned());
-        let own = folder(array);
-        let alone = |length: &u64| {
-            let mut with_length = self.0.iter().filter(|a| a.shape[0] == *length && folder(a) == own);
-            let is_alone = array.shape.iter().filter(|n| *n == length).count() == 1;
-            with_length.next().filter(|_| is_alone && with_length.next().is_none()).copied()
-        };
-        array.shape.iter().map(alone).collect()
-    }
-}
-
-impl Coordinates {
-    fn set_scale(&mut self, contents: Option<&ArrayFile>, scale: &Listed) {
-        let name = scale.path.rsplit('/').next().unwrap_or_default();
-        let words =
-            ["standard_name", "axis", "long_name"].map(|key| scale.attributes.text(key).unwrap_or_default());
-        let kind = [name].into_iter().chain(words.iter().map(String::as_str)).find_map(kind_of_name);
-        self.kind = self.kind.or(kind);
-        let unit = scale.attributes.text("units").unwrap_or_default();
-        self.unit = unit_of(&unit);
-        // A dimension without coordinates says so in its name, and its numbers are not stored.
-        let is_empty = scale.attributes.text("NAME").is_some_and(|name| name.starts_with(NO_VARIABLE));
-        let Some(contents) = contents else { return };
-        let storage = Storage::of(contents, scale, MAX_SCALE_BYTES);
-        let Some(numbers) = storage.and_then(|s| s.all_numbers()).ok().filter(|_| !is_empty) else { return };
-        self.is_of_earth = EARTH.contains(&name.to_lowercase().as_str()) || unit.starts_with("degrees_");
-        self.set_numbers(&numbers);
-    }
-
-    /// Takes the coordinates of all numbers along the axis.
-    pub(super) fn set_numbers(&mut self, numbers: &[f64]) {
-        let [first, .., last] = numbers[..] else { return };
-        let step = (last - first) / (numbers.len() - 1) as f64;
-        if !step.is_finite() || step == 0.0 {
-            return;
-        }
-        self.line = Some((first, step));
-        // Coordinates in single precision differ by their last digits.
-        let tolerance = (step.abs() * UNEVEN).max(first.abs().max(last.abs()) * SINGLE);
-        self.is_uneven = numbers.windows(2).any(|pair| ((pair[1] - pair[0]) - step).abs() > tolerance);
-    }
-
-    /// What a program tells of an axis: what it is, its first coordinate and its step, and their unit.
-    pub(super) fn told(kind: Option<AxisKind>, line: Option<(f64, f64)>, unit: Unit) -> Self {
-        let line = line.filter(|(at, step)| at.is_finite() && step.is_finite() && *step != 0.0);
-        Self { kind, line, unit, ..Self::default() }
-    }
-
-    /// The same where y and z point up, as they do in space.
-    pub(super) fn in_space(self) -> Self {
-        Self { is_of_earth: true, ..self }
-    }
-
-    /// Seconds from one point in time to the next.
-    pub(super) fn seconds(&self) -> Option<f64> {
-        match (&self.unit, self.line) {
-            (Unit::Time(unit), Some((_, step))) => Some(step * unit),
-            _ => None,
-        }
-    }
-}
-
-pub(super) fn kind_of_name(name: &str) -> Option<AxisKind> {
-    Some(match name.to_lowercase().as_str() {
-        "x" | "lon" | "longitude" | "projection_x_coordinate" | "nx" => AxisKind::Space(0),
-        "y" | "lat" | "latitude" | "projection_y_coordinate" | "ny" => AxisKind::Space(1),
-        "z" | "lev" | "level" | "depth" | "height" | "altitude" | "plev" | "pressure" | "nz" => {
-            AxisKind::Space(2)
-        }
-        "t" | "time" => AxisKind::Time,
-        "c" | "channel" | "channels" | "band" => AxisKind::Channel,
-        _ => return None,
-    })
-}
-
-pub(super) fn unit_of(text: &str) -> Unit {
-    let text = text.trim();
-    // Times have a beginning, such as `hours since 2000-01-01`.
-    let first = text.split_whitespace().next().unwrap_or_default();
-    match (length_unit(text), time_unit(first)) {
-        (Some((metres, name)), _) => Unit::Length(metres, name),
-        (None, Some(seconds)) => Unit::Time(seconds),
-        _ if ["", "1", "pixel", "pixels", "index", "none"].contains(&text) => Unit::None,
-        _ if text.starts_with("degree") => Unit::Other("degrees".into()),
-        _ => Unit::Other(text.to_owned()),
-    }
-}
-
 /// Most arrays of coordinates.
 const MAX_SCALES: usize = 1024;
 /// How netCDF names a dimension without coordinates.
 const NO_VARIABLE: &str = "This is a netCDF dimension but not a netCDF variable";
-/// Names of axes that point north and up.
-const EARTH: [&str; 8] = ["lat", "latitude", "lon", "longitude", "lev", "level", "height", "altitude"];
 /// Largest chunk of coordinates.
 const MAX_SCALE_BYTES: u64 = 16 << 20;
-/// Distances that differ by less than this part of their mean are even.
-const UNEVEN: f64 = 0.01;
-/// The last digit of single precision, twice.
-const SINGLE: f64 = 2.4e-7;

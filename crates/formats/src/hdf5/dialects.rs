@@ -1,9 +1,9 @@
 //! What programs say of the axes of their arrays, each in its own way. An array that none of them knows has what
 //! [`super::coordinates`] finds.
 
-use super::contents::{ArrayFile, Listed, Standing};
-use super::coordinates::{Coordinates, Unit, unit_of};
+use super::contents::{ArrayFile, Listed};
 use super::{dream3d, emd, nexus};
+use crate::cf::{Coordinates, Standing, Unit, unit_of};
 use crate::plan::AxisKind;
 
 /// Tells `arrays` what the programs that wrote the file say of them, and which of them is to be shown.

@@ -1,8 +1,8 @@
 //! DREAM.3D: cells of an image geometry, in files of version 6 (SIMPL) and of version 7 (DREAM3D-NX).
 
 use super::contents::{ArrayFile, Listed};
-use super::coordinates::{Coordinates, Unit};
 use super::dialects::plain_unit;
+use crate::cf::{Coordinates, Unit};
 use crate::plan::AxisKind;
 
 /// The cells along x, y and z, where the first corner is, and the sides of a cell.

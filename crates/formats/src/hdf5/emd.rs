@@ -5,9 +5,9 @@ use std::ops::Range;
 use serde_json::Value;
 
 use super::contents::{ArrayFile, Listed};
-use super::coordinates::{Coordinates, Unit, kind_of_name};
 use super::dialects::plain_unit;
 use super::storage::Storage;
+use crate::cf::{Coordinates, Unit, kind_of_name};
 use crate::plan::AxisKind;
 
 /// The axes of an array that one of these programs wrote.

@@ -119,6 +119,13 @@ pub(super) fn has_plain_edges(objects: &ObjectReader, at: u64) -> bool {
         .is_ok_and(|message| matches!(message.body[..], [4 | 5, 2, flags, ..] if flags & 1 == 1))
 }
 
+/// Whether the numbers of the array at byte `at` are in plain files beside this one.
+pub(super) fn has_external_files(objects: &ObjectReader, at: u64) -> bool {
+    objects.messages(at).is_ok_and(|messages| messages.iter().any(|message| message.kind == EXTERNAL_FILES))
+}
+
+/// The message that names files with the numbers.
+const EXTERNAL_FILES: u16 = 7;
 /// The messages that tell the fill value.
 const OLD_FILL: u16 = 4;
 const FILL: u16 = 5;

@@ -1,8 +1,8 @@
 //! NeXus: the data that a file shows by default, and their axes (NXdata of the NeXus manual, 2024.02).
 
 use super::contents::{ArrayFile, Attributes, Listed};
-use super::coordinates::{Coordinates, Unit, kind_of_name, unit_of};
 use super::links::Place;
+use crate::cf::{Coordinates, Unit, kind_of_name, unit_of};
 use crate::plan::AxisKind;
 
 /// The array that a file shows by default.

@@ -2,9 +2,10 @@
 
 use super::array_plan;
 use super::contents::{ArrayFile, Attributes, Listed};
-use super::coordinates::{Coordinates, Scales, Unit, kind_of_name};
+use super::coordinates::Scales;
 use super::image::{ArrayImage, PartLevel, PartNames};
 use super::storage::StorageForm;
+use crate::cf::{Coordinates, Unit, kind_of_name};
 use crate::error::one_line;
 use crate::plan::Role;
 use crate::units::time_step;

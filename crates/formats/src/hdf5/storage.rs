@@ -6,10 +6,10 @@ use std::sync::Arc;
 use hdf5_pure::{ChunkIndex, Dataset, Error, Filter, Layout};
 
 use super::contents::{ArrayFile, Listed, problem};
-use super::layouts::{chunks_in_tree, fill_value, has_plain_edges, tell_layout};
+use super::layouts::{chunks_in_tree, fill_value, has_external_files, has_plain_edges, tell_layout};
 use super::source::SharedFile;
 use crate::chunk_grid::{MAX_CHUNKS, covering, next_index};
-use crate::dtype::{Dtype, Endian};
+use crate::dtype::{Dtype, Endian, numbers_from_bytes};
 use crate::unpack::{BitPacking, Codec};
 
 /// The numbers of an array in the file.
@@ -213,6 +213,12 @@ impl StorageForm {
                 array.description()
             ));
         }
+        if has_external_files(&contents.objects, array.at) {
+            return Err(format!(
+                "{} has its numbers in external files, expected it to have them",
+                array.description()
+            ));
+        }
         let filters = dataset.filter_pipeline();
         if filters.len() != dataset.filters().len() || filters.len() > MAX_FILTERS {
             return Err("its filters cannot be read".into());
@@ -334,29 +340,6 @@ fn codec(filter: &Filter, size: usize) -> Result<Codec, String> {
     })
 }
 
-/// Numbers in double precision, as coordinates need.
-fn numbers_from_bytes(bytes: &[u8], dtype: Dtype, endian: Endian) -> Vec<f64> {
-    let number = |word: &[u8]| {
-        let mut low = [0; 8];
-        low[..word.len()].copy_from_slice(word);
-        if endian == Endian::Big {
-            low[..word.len()].reverse();
-        }
-        let bits = u64::from_le_bytes(low);
-        match dtype {
-            Dtype::Uint8 | Dtype::Uint16 | Dtype::Uint32 | Dtype::Uint64 => bits as f64,
-            Dtype::Int8 => f64::from(bits as i8),
-            Dtype::Int16 => f64::from(bits as i16),
-            Dtype::Int32 => f64::from(bits as i32),
-            Dtype::Int64 => bits as i64 as f64,
-            Dtype::Half => half::f16::from_bits(bits as u16).to_f64(),
-            Dtype::Float => f64::from(f32::from_bits(bits as u32)),
-            Dtype::Double => f64::from_bits(bits),
-        }
-    };
-    bytes.chunks_exact(dtype.num_bytes()).map(number).collect()
-}
-
 /// Sides of blocks for reading what is in no chunks: whole rows, planes and so on of a few MiB.
 fn divided(shape: &[u64], bytes_per_number: u64) -> Vec<u64> {
     let mut left = (READ_BYTES / bytes_per_number).max(1);
@@ -390,4 +373,4 @@ const READ_BYTES: u64 = 4 << 20;
 /// Most bytes of numbers in the metadata.
 const MAX_ROW_BYTES: u64 = 64 << 20;
 /// Most numbers that are read as coordinates and the like.
-const MAX_NUMBERS: u64 = 1 << 18;
+const MAX_NUMBERS: u64 = 1 << 22;

@@ -12,6 +12,7 @@ use crate::decode::VoxelSink;
 use crate::error::{FormatError, io_error};
 use crate::gap_rule::GapRule;
 use crate::hyperslab::Steps;
+use crate::labels::{TAKEN_FOR_LABELS, told_labels};
 use crate::plan::{Chosen, Plan};
 use crate::read_volume::{UNKNOWN_NUMBERS, channel_volumes, joint};
 use crate::source::OpenOptions;
@@ -41,10 +42,8 @@ impl Base {
     ) -> Result<Self, FormatError> {
         add_thinned(levels);
         let (finest, level) = (&levels[0], &levels[levels.len() - 1]);
-        let bytes = level.plan.dtype.num_bytes_in_memory() as u64;
         let channels = level.chosen.channels.clone();
-        let num_voxels: u64 = level.shape.dims.iter().map(|&n| u64::from(n)).product();
-        options.check_memory(path, num_voxels * bytes * (channels.len() as u64 + 1))?;
+        options.check_memory(path, level.bytes_of_base())?;
         let num_slabs = channels.len() * SLABS;
         let mut decoded = Vec::new();
         for (i, channel) in channels.enumerate() {
@@ -58,13 +57,21 @@ impl Base {
             decoded.push(read_slabs(level, &steps, path, &tick)?.finish(level.plan.has_gaps));
         }
         let (volumes, rules) = channel_volumes(&level.plan, &level.chosen, decoded, path)?;
-        let kind = match bytes {
+        let kind = match level.plan.dtype.num_bytes_in_memory() {
             1 => VoxelKind::U8,
             2 => VoxelKind::U16,
             _ => VoxelKind::F32,
         };
         let words = finest.chosen.warnings.iter().map(|w| w.text.clone());
-        let words = words.chain(levels.iter().find_map(|level| level.reader.cost())).collect();
+        let words = words.chain(levels.iter().find_map(|level| level.reader.cost()));
+        let mut words: Vec<String> = words.chain(finest.reader.absence()).collect();
+        // The index knows that they look like labels, and the file does not.
+        if level.is_kept
+            && level.plan.are_labels
+            && told_labels(&finest.plan, options.reading.voxels, 1).is_none()
+        {
+            words.push(TAKEN_FOR_LABELS.to_owned());
+        }
         let (spacing, first) = (finest.chosen.grid.spacing, Vec3::from_array(level.shape.first));
         Ok(Self {
             volumes,
@@ -100,6 +107,14 @@ impl Base {
         volume.info.placement = self.placement;
         Ok(volume)
     }
+}
+
+/// Bytes that it takes to read the base of these levels, and to keep some of the file meanwhile.
+pub(super) fn bytes_to_open(levels: &mut Vec<PageLevel>, max_bytes: u64) -> u64 {
+    add_thinned(levels);
+    // Each voxel has its brightness, too.
+    let base = levels.last().map_or(0, |level| level.bytes_of_base().saturating_add(level.num_voxels()));
+    base.saturating_add(max_bytes / 8)
 }
 
 /// Adds a level of one voxel in some of the coarsest level, unless that is small.

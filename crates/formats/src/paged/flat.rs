@@ -81,12 +81,33 @@ pub(crate) fn flat_level(
 
 impl BoxReader for FlatBoxes {
     fn read(&self, selected: &[Steps]) -> Result<VoxelSink, FormatError> {
-        let size = self.dtype.num_bytes();
         let count: u64 = selected.iter().map(Steps::len).product();
         let path = &self.files[0].0.path;
         let sink = usize::try_from(count).ok().map(|n| VoxelSink::new(self.dtype, self.endian, n));
         let mut sink =
             sink.and_then(Result::ok).ok_or_else(|| io_error(path)(io::ErrorKind::OutOfMemory.into()))?;
+        self.read_rows(selected, &mut |row| sink.push_bytes(row))?;
+        Ok(sink)
+    }
+
+    fn read_numbers(&self, selected: &[Steps]) -> Result<Vec<u8>, FormatError> {
+        let size = self.dtype.num_bytes();
+        let count: u64 = selected.iter().map(Steps::len).product();
+        let mut numbers = Vec::new();
+        let room = usize::try_from(count).ok().and_then(|n| numbers.try_reserve_exact(n * size).ok());
+        room.ok_or_else(|| io_error(&self.files[0].0.path)(io::ErrorKind::OutOfMemory.into()))?;
+        self.read_rows(selected, &mut |row| numbers.extend_from_slice(row))?;
+        if self.endian == Endian::Big && size > 1 {
+            numbers.chunks_exact_mut(size).for_each(<[u8]>::reverse);
+        }
+        Ok(numbers)
+    }
+}
+
+impl FlatBoxes {
+    /// Passes the bytes of each row of the selected numbers to `take`, in the order of the file.
+    fn read_rows(&self, selected: &[Steps], take: &mut dyn FnMut(&[u8])) -> Result<(), FormatError> {
+        let size = self.dtype.num_bytes();
         let mut strides = vec![1; self.sizes.len()];
         for axis in 1..strides.len() {
             strides[axis] = strides[axis - 1] * self.sizes[axis - 1];
@@ -116,19 +137,17 @@ impl BoxReader for FlatBoxes {
                     let from = (i * apart) as usize * size;
                     let row = &bytes[from..from + row as usize * size];
                     if fast.step == 1 {
-                        sink.push_bytes(row);
+                        take(row);
                     } else {
                         pick(row, size, 0, fast.step as usize, &mut picked);
-                        sink.push_bytes(&picked);
+                        take(&picked);
                     }
                 }
             }
         }
-        Ok(sink)
+        Ok(())
     }
-}
 
-impl FlatBoxes {
     /// Fills `bytes` with the numbers from number `at` on, all in one file.
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), FormatError> {
         let (file, kept) = &self.files[(at / self.share) as usize];
@@ -148,13 +167,15 @@ impl FlatBoxes {
     }
 }
 
+/// Fills `bytes` from byte `offset` of a file on, whatever its position is. Several threads may do so at once.
 #[cfg(unix)]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
 }
 
+/// Fills `bytes` from byte `offset` of a file on.
 #[cfg(not(unix))]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     use std::io::{Read, Seek, SeekFrom};
     // Threads share the position of a file, so each read has a handle of its own.
     let mut own = file.try_clone()?;

@@ -147,6 +147,32 @@ impl PageIndexBuilder {
         }
     }
 
+    /// Widens the range of a page by numbers that it has.
+    pub(super) fn widen(&mut self, channel: usize, at: [u32; 3], (lo, hi): (f32, f32)) {
+        let range = &mut self.channels[channel].ranges[place(self.pages, at)];
+        // What is not a number gives way.
+        *range = (range.0.min(lo), range.1.max(hi));
+    }
+
+    /// Counts numbers of a channel: how many are in each bin, from the first on.
+    pub(super) fn add_bins(&mut self, channel: usize, bins: &[u64]) {
+        for (table, more) in self.channels[channel].tables.iter_mut().zip(bins.chunks(BINS_OF_TABLE)) {
+            if more.iter().any(|n| *n > 0) {
+                table.resize(BINS_OF_TABLE, 0);
+                table.iter_mut().zip(more).for_each(|(n, more)| *n += more);
+            }
+        }
+    }
+
+    /// The index, when all numbers were added by [`Self::widen`] and [`Self::add_bins`]; `None` if a channel has only
+    /// gaps.
+    pub(super) fn finish_all(mut self) -> Option<PageIndex> {
+        let ranges = self.channels.iter_mut().flat_map(|channel| &mut channel.ranges);
+        ranges.filter(|range| range.0.is_nan()).for_each(|range| *range = (f32::INFINITY, f32::NEG_INFINITY));
+        self.num_missing = 0;
+        self.finish()
+    }
+
     /// Pages of all channels that have not come.
     pub fn num_missing(&self) -> u64 {
         self.num_missing
@@ -200,14 +226,18 @@ impl ChannelCounts {
     }
 }
 
-/// Tables for the numbers of a channel.
-fn num_tables(kind: VoxelKind) -> usize {
-    let num_bins = match kind {
-        VoxelKind::U8 => 1usize << 8,
+/// Bins for the numbers of a channel.
+pub(super) fn num_bins(kind: VoxelKind) -> usize {
+    match kind {
+        VoxelKind::U8 => 1 << 8,
         VoxelKind::U16 => 1 << 16,
         VoxelKind::F32 => 1 << FLOAT_BITS,
-    };
-    num_bins.div_ceil(BINS_OF_TABLE)
+    }
+}
+
+/// Tables of these bins.
+fn num_tables(kind: VoxelKind) -> usize {
+    num_bins(kind).div_ceil(BINS_OF_TABLE)
 }
 
 /// The index of a page, x fastest.
@@ -218,7 +248,7 @@ fn place(pages: [u32; 3], at: [u32; 3]) -> usize {
 }
 
 /// Bins of floats ascend with them and are 1/2048 of their magnitude wide.
-fn float_bin(x: f32) -> usize {
+pub(super) fn float_bin(x: f32) -> usize {
     let bits = x.to_bits();
     let key = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
     (key >> (32 - FLOAT_BITS)) as usize

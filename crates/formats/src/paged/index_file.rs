@@ -9,9 +9,11 @@ use std::time::UNIX_EPOCH;
 use isinglass_core::volume::Histogram;
 
 use super::index::{ChannelIndex, PageIndex};
-use crate::error::{FormatError, io_error};
+use super::means::{MeanLevels, MeanPlan};
+use super::means_file::{MeansFile, write_means};
+use crate::error::FormatError;
 use crate::levels::KnownNumbers;
-use crate::output::write_whole;
+use crate::output::{folder_of, write_private};
 use crate::plan::VolumeFile;
 use crate::selection::{Region, Selection};
 use crate::source::{OpenOptions, read_file};
@@ -59,11 +61,35 @@ impl IndexPlace {
     /// # Errors
     /// If the system refuses.
     pub(crate) fn write(&self, index: &PageIndex) -> Result<PathBuf, FormatError> {
-        if let Some(folder) = self.path.parent() {
-            fs::create_dir_all(folder).map_err(io_error(folder))?;
-        }
-        write_whole(&self.path, &bytes_of_index(index, &self.key))?;
+        write_private(&self.path, &bytes_of_index(index, &self.key))?;
         Ok(self.path.clone())
+    }
+
+    /// The file.
+    pub(super) fn file(&self) -> PathBuf {
+        self.path.clone()
+    }
+
+    /// The folder of the file.
+    pub(super) fn folder(&self) -> &Path {
+        folder_of(&self.path)
+    }
+
+    /// The levels of means that are kept beside it, if they are whole and of this volume.
+    pub(super) fn read_means(&self, plan: &MeanPlan, num_channels: usize) -> Option<Arc<MeansFile>> {
+        MeansFile::open(&self.path_of_means(), &self.key, plan, num_channels)
+    }
+
+    /// Keeps levels of means beside the index.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub(super) fn write_means(&self, means: &MeanLevels) -> Result<(), FormatError> {
+        write_means(&self.path_of_means(), &self.key, means)
+    }
+
+    fn path_of_means(&self) -> PathBuf {
+        self.path.with_extension("means")
     }
 }
 
@@ -131,17 +157,21 @@ fn index_from_bytes(bytes: &[u8], key: &str) -> Option<PageIndex> {
 }
 
 /// What is left of the bytes.
-struct IndexBytes<'a>(&'a [u8]);
+pub(super) struct IndexBytes<'a>(pub(super) &'a [u8]);
 
 impl<'a> IndexBytes<'a> {
-    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+    pub(super) fn take(&mut self, count: usize) -> Option<&'a [u8]> {
         let (taken, rest) = self.0.split_at_checked(count)?;
         self.0 = rest;
         Some(taken)
     }
 
-    fn number(&mut self) -> Option<u32> {
+    pub(super) fn number(&mut self) -> Option<u32> {
         Some(u32::from_le_bytes(*self.take(4)?.first_chunk()?))
+    }
+
+    pub(super) fn words(&mut self, count: usize) -> Option<Vec<[u8; 8]>> {
+        Some(self.take(count.checked_mul(8)?)?.as_chunks::<8>().0.to_vec())
     }
 
     fn floats<const N: usize>(&mut self) -> Option<[f32; N]> {
@@ -152,7 +182,7 @@ impl<'a> IndexBytes<'a> {
 }
 
 /// A sum of bytes that changes with each of them (FNV-1a, 64 bits).
-fn fnv(bytes: &[u8]) -> u64 {
+pub(super) fn fnv(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |sum, b| (sum ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
 }
 

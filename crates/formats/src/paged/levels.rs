@@ -21,6 +21,8 @@ pub(super) struct PageLevel {
     pub(super) chosen: Arc<Chosen>,
     pub(super) reader: Arc<dyn BoxReader>,
     pub(super) shape: PyramidLevel,
+    /// Whether it is no level of the file, but one that its index keeps.
+    pub(super) is_kept: bool,
 }
 
 impl PageLevel {
@@ -30,8 +32,14 @@ impl PageLevel {
         self.plan.steps(grid, channel..channel + 1, self.chosen.time.into())
     }
 
-    fn num_voxels(&self) -> u64 {
+    pub(super) fn num_voxels(&self) -> u64 {
         self.shape.dims.iter().map(|&n| u64::from(n)).product()
+    }
+
+    /// Bytes of all channels while the level is read whole: one of them is there twice.
+    pub(super) fn bytes_of_base(&self) -> u64 {
+        let of_voxel = self.plan.dtype.num_bytes_in_memory() as u64 * (self.chosen.channels.len() as u64 + 1);
+        self.num_voxels().saturating_mul(of_voxel)
     }
 }
 
@@ -59,7 +67,13 @@ pub(super) fn page_levels(
     }
     let finest = Arc::new(chosen);
     let shape = PyramidLevel { dims, factor: [1; 3], first: [0.0; 3] };
-    found.push(PageLevel { plan: Arc::new(plan), chosen: finest, reader: reader.into(), shape });
+    found.push(PageLevel {
+        plan: Arc::new(plan),
+        chosen: finest,
+        reader: reader.into(),
+        shape,
+        is_kept: false,
+    });
     for BoxLevel { plan, reader } in levels {
         if let Some(level) = coarser(plan, reader, &found[0], path, options)?
             && found.last().is_none_or(|last| level.num_voxels() < last.num_voxels())
@@ -124,7 +138,13 @@ fn coarser(
     }
     let chosen = choose(&plan, path, options, Some(region))?;
     let shape = PyramidLevel { dims: chosen.grid.dims(), factor, first };
-    Ok(Some(PageLevel { plan: Arc::new(plan), chosen: Arc::new(chosen), reader: reader.into(), shape }))
+    Ok(Some(PageLevel {
+        plan: Arc::new(plan),
+        chosen: Arc::new(chosen),
+        reader: reader.into(),
+        shape,
+        is_kept: false,
+    }))
 }
 
 /// The first selected voxel of the finest level along an axis of the volume.

@@ -1,13 +1,18 @@
 //! Volumes that are read by pages: the coarsest level whole, the others as they are wanted.
 
 mod base;
+mod blocks;
 mod build;
 pub(crate) mod flat;
 mod index;
 mod index_file;
 mod levels;
+mod means;
+mod means_file;
 mod noted;
 mod pages;
+mod sample;
+mod scan_rules;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,15 +20,19 @@ use std::sync::atomic::AtomicBool;
 
 use isinglass_core::volume::{PAGE_CELLS, PageRanges, PageSource, Paging, Volume};
 
-use self::base::Base;
-use self::build::{built_index, known_index};
+use self::base::{Base, bytes_to_open};
+pub use self::build::BuiltIndex;
+use self::build::{IndexRequest, known_index};
 pub use self::index::{PageIndex, PageIndexBuilder};
 pub(crate) use self::index_file::IndexPlace;
-use self::levels::page_levels;
+use self::levels::{PageLevel, page_levels};
+use self::means::MeanPlan;
 use self::noted::NotedPages;
 use self::pages::FilePages;
+pub(crate) use self::sample::sample_of;
 use crate::error::{FormatError, shown};
 use crate::outline::PageCount;
+use crate::reading::Meaning;
 use crate::source::{OpenOptions, open_source};
 use crate::web::is_address;
 
@@ -40,6 +49,8 @@ pub struct PagedFile {
     path: PathBuf,
     /// Where its index is kept.
     place: Option<IndexPlace>,
+    meaning: Option<Meaning>,
+    max_bytes: u64,
 }
 
 impl PagedFile {
@@ -57,25 +68,38 @@ impl PagedFile {
         self.pages.num_absent()
     }
 
-    /// Reads all pages of the finest level once for its index. `progress` is called with the fraction that has been
-    /// read, 0 to 1.
+    /// Whether all is known that an index keeps: that of the finest level, and levels of means if the file has none.
+    pub fn is_indexed(&self) -> bool {
+        let has_means = self.pages.has_means() || self.pages.mean_plan().is_none();
+        self.index.is_some() && has_means
+    }
+
+    /// Reads all numbers of the finest level for its index, and for levels of means if the file has no levels. `progress`
+    /// is called with the fraction that has been read, 0 to 1.
     ///
     /// # Errors
-    /// A page cannot be read, there are too many of them, or `cancel` was set.
+    /// A part cannot be read, there are too many pages, or `cancel` was set.
     pub fn build_index(
         &self,
         progress: Option<&dyn Fn(f32)>,
         cancel: Option<&AtomicBool>,
-    ) -> Result<PageIndex, FormatError> {
-        built_index(&*self.pages, &self.path, progress, cancel)
+    ) -> Result<BuiltIndex, FormatError> {
+        let Self { pages, path, meaning, max_bytes, .. } = self;
+        let place = self.place.as_ref();
+        IndexRequest { pages, path, place, meaning: *meaning, max_bytes: *max_bytes, cancel }.build(progress)
     }
 
     /// Keeps an index in [`OpenOptions::index_folder`] for the next time. Returns its file; `None` without a folder.
     ///
     /// # Errors
     /// If the system refuses.
-    pub fn keep_index(&self, index: &PageIndex) -> Result<Option<PathBuf>, FormatError> {
-        self.place.as_ref().map(|place| place.write(index)).transpose()
+    pub fn keep_index(&self, built: &BuiltIndex) -> Result<Option<PathBuf>, FormatError> {
+        self.place.as_ref().map(|place| built.keep(place)).transpose()
+    }
+
+    /// The file of its index, if there is one.
+    pub fn index_file(&self) -> Option<PathBuf> {
+        self.index.as_ref().and(self.place.as_ref()).map(IndexPlace::file)
     }
 }
 
@@ -98,12 +122,33 @@ pub fn open_paged(source: &str, options: &OpenOptions) -> Result<PagedFile, Form
     if options.reading.thin.is_some_and(|thin| thin > 1) || options.selection.level.is_some() {
         return unsupported("one level or a share of the voxels", "all levels, to read them by pages");
     }
-    let (path, file) = open_source(source, options)?;
-    let mut levels = page_levels(file.boxes(&path)?, &path, options)?;
-    let base = Base::read(&mut levels, &path, options)?;
-    let place = IndexPlace::of(&*file, &path, options.selection.region, options);
+    let (opened, is_new) = opened_once(source, options)?;
+    // The levels of an index that was made just now are used at once.
+    if is_new && opened.pages.mean_plan().is_some() {
+        return Ok(opened_once(source, options)?.0);
+    }
+    Ok(opened)
+}
+
+/// Opens a volume. Returns whether its index was made and kept just now.
+fn opened_once(source: &str, options: &OpenOptions) -> Result<(PagedFile, bool), FormatError> {
+    let LevelsOfFile { path, place, of_file, of_index } = levels_of(source, options)?;
+    let with_index = |of_index: Vec<PageLevel>| -> Result<(Base, Vec<PageLevel>), FormatError> {
+        let mut levels = [&of_file[..], &of_index].concat();
+        let base = Base::read(&mut levels, &path, options)?;
+        Ok((base, levels))
+    };
+    let has_means = !of_index.is_empty();
+    let (base, levels) = match with_index(of_index) {
+        // Levels that are damaged count as none.
+        Err(FormatError::Data { .. } | FormatError::Io { .. }) if has_means => with_index(Vec::new()),
+        found => found,
+    }?;
     let mut pages = FilePages::new(levels, &base);
-    let index = known_index(&pages, place.as_ref(), &path, options)?;
+    let (meaning, max_bytes, cancel) = (options.reading.voxels, options.max_bytes, options.cancel);
+    let request =
+        IndexRequest { pages: &pages, path: &path, place: place.as_ref(), meaning, max_bytes, cancel };
+    let (index, is_new) = known_index(&request, options)?;
     let base = base.into_volume(index.as_ref(), &path, options)?;
     pages.complete(&base);
     let pages = Arc::new(pages);
@@ -114,17 +159,46 @@ pub fn open_paged(source: &str, options: &OpenOptions) -> Result<PagedFile, Form
         Some(noted) => Arc::new(noted) as Arc<dyn PageSource>,
         None => Arc::clone(&pages) as Arc<dyn PageSource>,
     };
-    Ok(PagedFile { base, source, index: index.map(Arc::new), pages, path, place })
+    let index = index.map(Arc::new);
+    Ok((PagedFile { base, source, index, pages, path, place, meaning, max_bytes }, is_new))
 }
 
-/// The pages of `source` by its header; `None` if it cannot be read by pages.
+/// The levels of a file, and those that its index keeps.
+struct LevelsOfFile {
+    path: PathBuf,
+    place: Option<IndexPlace>,
+    of_file: Vec<PageLevel>,
+    of_index: Vec<PageLevel>,
+}
+
+fn levels_of(source: &str, options: &OpenOptions) -> Result<LevelsOfFile, FormatError> {
+    let (path, file) = open_source(source, options)?;
+    let of_file = page_levels(file.boxes(&path)?, &path, options)?;
+    let place = IndexPlace::of(&*file, &path, options.selection.region, options);
+    let find = || {
+        let [finest] = &of_file[..] else { return None };
+        let plan = MeanPlan::of(finest)?;
+        let file = place.as_ref()?.read_means(&plan, finest.chosen.channels.len())?;
+        // What the person says of the voxels goes first.
+        let is_right = options.reading.voxels.is_none_or(|m| file.are_labels() == (m == Meaning::Labels));
+        is_right.then(|| file.levels(&plan, finest))
+    };
+    let of_index = find().unwrap_or_default();
+    Ok(LevelsOfFile { path, place, of_file, of_index })
+}
+
+/// The pages of `source` by its header and its index; `None` if it cannot be read by pages.
 pub fn page_count(source: &str, options: &OpenOptions) -> Option<PageCount> {
-    let is_file = !source.starts_with("builtin:");
-    let (path, file) = open_source(source, options).ok().filter(|_| is_file)?;
-    let levels = page_levels(file.boxes(&path).ok()?, &path, options).ok()?;
+    if source.starts_with("builtin:") {
+        return None;
+    }
+    let LevelsOfFile { of_file, of_index, .. } = levels_of(source, options).ok()?;
     let pages = |n: u32| u64::from(n.saturating_sub(1).div_ceil(PAGE_CELLS).max(1));
-    let finest = levels.first()?.shape.dims.into_iter().map(pages).product();
-    Some(PageCount { levels: levels.len() as u32, finest })
+    let finest = of_file.first()?.shape.dims.into_iter().map(pages).product();
+    let mut levels: Vec<PageLevel> = of_file.into_iter().chain(of_index).collect();
+    let num_levels = levels.len() as u32;
+    let bytes_to_open = bytes_to_open(&mut levels, options.max_bytes);
+    Some(PageCount { levels: num_levels, finest, bytes_to_open })
 }
 
 /// Most voxels along an axis of a volume that is read by pages.

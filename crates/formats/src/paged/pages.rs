@@ -6,6 +6,7 @@ use isinglass_core::volume::{
 
 use super::base::Base;
 use super::levels::PageLevel;
+use super::means::MeanPlan;
 use crate::error::FormatError;
 use crate::gap_rule::GapRule;
 
@@ -36,6 +37,28 @@ impl FilePages {
     pub(super) fn complete(&mut self, base: &Volume) {
         self.pyramid.info = base.info.clone();
         self.elsewhere = base.channels().map(|channel| channel.stored_range().0).collect();
+    }
+
+    /// A level, from the finest on.
+    pub(super) fn level(&self, level: usize) -> &PageLevel {
+        &self.levels[level]
+    }
+
+    /// Which voxels have no value, for each channel.
+    pub(super) fn rules(&self) -> &[GapRule] {
+        &self.rules
+    }
+
+    /// The levels of means that an index keeps: none of a file with levels of its own.
+    pub(super) fn mean_plan(&self) -> Option<MeanPlan> {
+        let has_levels =
+            self.levels.iter().skip(1).any(|level| level.chosen.grid.thin == [1; 3] && !level.is_kept);
+        if has_levels { None } else { MeanPlan::of(&self.levels[0]) }
+    }
+
+    /// Whether there is a level of means that an index keeps.
+    pub(super) fn has_means(&self) -> bool {
+        self.levels.iter().any(|level| level.is_kept)
     }
 
     pub(super) fn num_absent(&self) -> u64 {

@@ -47,7 +47,7 @@ use crate::selection::{Flip, Selection};
 use crate::source::{read_file, source_exists};
 use crate::transfer::rgb_from_hex;
 use crate::volume_source::VolumeSource;
-use crate::web::{is_address, shown_address};
+use crate::web::{host_of_address, is_address, shown_address};
 
 pub use link::{MAX_LINK_BYTES, state_from_link, state_to_link};
 pub use marks::{
@@ -177,14 +177,29 @@ impl SavedVolume {
     /// The volume or its labels are at an address, or the region or the flip is invalid.
     pub fn source_to_open(&self) -> Result<Option<VolumeSource>, String> {
         let source = self.volume_source().map_err(|e| format!("the state's region: {e}"))?;
-        let places = source.iter().flat_map(|v| [Some(&v.source), v.reading.labels.as_ref()]).flatten();
-        if let Some(address) = places.into_iter().find(|place| is_address(place)) {
+        if let Some(address) = self.addresses().next() {
             return Err(format!(
-                "the state's volume is at the address {}, expected you to open that first; a state alone asks no address",
+                "the state's volume is at the address {}, which a state alone does not call; name the volume itself: VOLUME --state FILE",
                 quoted(shown_address(address))
             ));
         }
         Ok(source)
+    }
+
+    /// The addresses of the web that opening the volume and its labels asks.
+    fn addresses(&self) -> impl Iterator<Item = &str> {
+        [&self.source, &self.labels]
+            .into_iter()
+            .flatten()
+            .map(String::as_str)
+            .filter(|place| is_address(place))
+    }
+
+    /// The hosts of the web that opening the volume and its labels asks, without repetition.
+    pub fn web_hosts(&self) -> Vec<String> {
+        let mut hosts: Vec<String> = self.addresses().map(host_of_address).collect();
+        hosts.dedup();
+        hosts
     }
 
     /// The part of the file.

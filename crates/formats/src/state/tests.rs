@@ -324,7 +324,7 @@ fn a_state_alone_asks_no_address() {
     for address in ["https://example.org/a.zarr?token=7", "HTTP://example.org/a.zarr", "s3://bucket/a.zarr"] {
         for asks in [at(address, None), at("head.nrrd", Some(address))] {
             let problem = asks.source_to_open().unwrap_err();
-            assert!(problem.contains("a state alone asks no address"), "{problem}");
+            assert!(problem.contains("which a state alone does not call"), "{problem}");
             assert!(problem.contains(address.split('?').next().unwrap()) && !problem.contains("token"));
             // A window that shows it already compares the two.
             assert!(asks.volume_source().is_ok_and(|source| source.is_some()));

@@ -1,6 +1,8 @@
 //! ImageJ's description of a hyperstack, in lines of `name=value`.
 
-use super::{PlaneAxis, Stack};
+use super::page::Group;
+use super::stack::{PlaneAxis, Stack};
+use crate::error::quoted;
 use crate::plan::ChannelLook;
 use crate::units::{length_unit, time_step, time_unit, value_unit};
 
@@ -9,15 +11,13 @@ pub(super) fn is_imagej(text: &str) -> bool {
     text.starts_with("ImageJ=")
 }
 
-/// The stack of a description. `resolution` has pixels per unit along x and y.
-pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2], metadata: Option<&Metadata>) -> Stack {
+/// The stack of a description of the pages in `group`.
+pub(super) fn stack(text: &str, group: &Group, metadata: Option<&Metadata>) -> Stack {
+    let resolution = group.resolution;
     let get =
         |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).map(str::trim);
-    let count = |name: &str| get(name).and_then(|v| v.parse::<u64>().ok()).unwrap_or(1).max(1);
-    let [images, channels, slices, frames] = ["images", "channels", "slices", "frames"].map(count);
     let number = |name: &str| get(name).and_then(|v| v.parse::<f64>().ok()).filter(|v| v.is_finite());
-    // Without the fields of a hyperstack, all images are slices.
-    let slices = if channels.saturating_mul(slices).saturating_mul(frames) == 1 { images } else { slices };
+    let (axes, guess) = axes(&get, group.shape.samples.into());
     let own = get("unit").and_then(length_unit);
     // Distances along y and z may have their own units.
     let in_own = |name: &str| match (get(name).and_then(length_unit), own) {
@@ -34,7 +34,7 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2], metadata: Option<
     };
     let value_map = value_map(get("cf"), number("c1"), number("c0"));
     Stack {
-        axes: vec![(PlaneAxis::Channel, channels), (PlaneAxis::Z, slices), (PlaneAxis::Time, frames)],
+        axes,
         spacing,
         unit: unit.filter(|u| !u.is_empty()).map(str::to_owned),
         channel_names: Vec::new(),
@@ -45,9 +45,54 @@ pub(super) fn stack(text: &str, resolution: &[Option<f64>; 2], metadata: Option<
         value_map,
         value_unit: get("vunit").filter(|_| get("cf") == Some("0")).and_then(value_unit),
         time_step: interval(number("finterval"), get("tunit"), number("fps")),
-        guess: None,
+        guess,
         name: "ImageJ TIFF",
+        in_files: "",
     }
+}
+
+/// The axes of the planes, the fastest first, and a word about what was assumed. A pixel has `samples` numbers.
+///
+/// ImageJ itself has channels, slices, frames (`czt`). Others name their order, such as `zct` or `xyzct`.
+fn axes<'a>(get: &impl Fn(&str) -> Option<&'a str>, samples: u64) -> (Vec<(PlaneAxis, u64)>, Option<String>) {
+    let count = |name: &str| get(name).and_then(|v| v.parse::<u64>().ok()).filter(|n| *n > 0);
+    let images = count("images").unwrap_or(1);
+    let mut sizes = [("channels", 'c'), ("slices", 'z'), ("frames", 't')].map(|(name, c)| (count(name), c));
+    let product = |sizes: &[(Option<u64>, char); 3]| {
+        sizes.iter().fold(1u64, |n, (size, _)| n.saturating_mul(size.unwrap_or(1)))
+    };
+    // Some writers count the colours of a pixel as channels.
+    if samples > 1 && sizes[0].0 == Some(samples) && product(&sizes) != images {
+        sizes[0].0 = Some(1);
+    }
+    // What the description has no number for takes the rest, slices first.
+    let all = product(&sizes);
+    if images > all && images.is_multiple_of(all) {
+        let is_alone = all == 1;
+        let free = [1, 2, 0].into_iter().find(|&i| sizes[i].0.is_none() || (is_alone && i == 1));
+        if let Some(i) = free {
+            sizes[i].0 = Some(images / all);
+        }
+    }
+    let told = get("order").map(str::to_lowercase);
+    let order = told.as_deref().map(|order| order.strip_prefix("xy").unwrap_or(order));
+    let is_known = |order: &str| order.len() == 3 && "czt".chars().all(|c| order.contains(c));
+    let guess = order.filter(|order| !is_known(order) && !["", "default"].contains(order)).map(|order| {
+        format!(
+            "the order {} is not known; planes were taken as channels, then slices, then times",
+            quoted(order)
+        )
+    });
+    let axes = order.filter(|order| is_known(order)).unwrap_or("czt").chars().map(|c| {
+        let size = sizes.iter().find(|(_, name)| *name == c).and_then(|(size, _)| *size).unwrap_or(1);
+        let axis = match c {
+            'c' => PlaneAxis::Channel,
+            'z' => PlaneAxis::Z,
+            _ => PlaneAxis::Time,
+        };
+        (axis, size)
+    });
+    (axes.collect(), guess)
 }
 
 /// Seconds between the frames: their interval in its unit, or what the rate of playing says.
@@ -115,7 +160,7 @@ impl Metadata {
 }
 
 /// The colour of a table of 256 reds, greens and blues that goes evenly from black to it.
-fn color(table: &[u8]) -> Option<[u8; 3]> {
+pub(super) fn color(table: &[u8]) -> Option<[u8; 3]> {
     let table: &[u8; 768] = table.try_into().ok()?;
     let at = |i: usize| [table[i], table[256 + i], table[512 + i]];
     let (black, middle, last) = (at(0), at(128), at(255));
@@ -140,12 +185,80 @@ fn value_map(function: Option<&str>, slope: Option<f64>, intercept: Option<f64>)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dtype::Dtype;
+    use crate::tiff::page::PageShape;
+
+    fn group(samples: u16) -> Group {
+        Group {
+            shape: PageShape {
+                width: 3,
+                height: 2,
+                samples,
+                is_planar: false,
+                dtype: Dtype::Uint8,
+                is_white: false,
+            },
+            pages: vec![0],
+            shaped: None,
+            resolution: [Some(4.0), Some(2.0)],
+            unit_mm: None,
+            block: None,
+            palette: None,
+        }
+    }
+
+    #[test]
+    fn planes_have_the_order_that_the_description_names() {
+        use PlaneAxis::{Channel, Time, Z};
+        let told = |lines: &str, samples: u16| {
+            let stack = stack(&format!("ImageJ=1.53c\n{lines}\n"), &group(samples), None);
+            (stack.axes, stack.guess.is_some())
+        };
+        let all = "images=24\nchannels=2\nslices=4\nframes=3";
+        let of = |order: &str| -> Vec<(PlaneAxis, u64)> {
+            let axis = |c| match c {
+                'c' => (Channel, 2),
+                'z' => (Z, 4),
+                _ => (Time, 3),
+            };
+            order.chars().map(axis).collect()
+        };
+        for order in ["czt", "ctz", "zct", "ztc", "tcz", "tzc"] {
+            for line in [
+                format!("order={order}"),
+                format!("order=xy{order}"),
+                format!("order=XY{}", order.to_uppercase()),
+            ] {
+                assert_eq!(told(&format!("{all}\n{line}"), 1), (of(order), false), "{line}");
+            }
+        }
+        for (line, is_guess) in
+            [("", false), ("order=default", false), ("order=zz", true), ("order=xyczz", true)]
+        {
+            assert_eq!(told(&format!("{all}\n{line}"), 1), (of("czt"), is_guess), "{line}");
+        }
+        let sizes =
+            |lines: &str, samples: u16| told(lines, samples).0.iter().map(|a| a.1).collect::<Vec<_>>();
+        assert_eq!(sizes("images=12\nslices=12", 1), [1, 12, 1]);
+        assert_eq!(sizes("images=12", 1), [1, 12, 1]);
+        assert_eq!(sizes("images=12\nchannels=2\nhyperstack=true", 1), [2, 6, 1]);
+        assert_eq!(sizes("images=12\nslices=6", 1), [1, 6, 2]);
+        assert_eq!(sizes("images=12\nslices=3\nframes=2", 1), [2, 3, 2]);
+        assert_eq!(
+            sizes("images=4\nchannels=3\nslices=4", 3),
+            [1, 4, 1],
+            "channels are the colours of a pixel"
+        );
+        assert_eq!(sizes("images=12\nchannels=3\nslices=4", 1), [3, 4, 1]);
+        // The control: what does not divide stays as it is told.
+        assert_eq!(sizes("images=13\nchannels=2\nslices=3", 1), [2, 3, 1]);
+    }
 
     #[test]
     fn steps_have_their_unit_along_each_axis() {
         let told = |lines: &str| {
             let text = format!("ImageJ=1.54f\nimages=4\nslices=4\n{lines}\n");
-            let Stack { spacing, unit, .. } = stack(&text, &[Some(4.0), Some(2.0)], None);
+            let Stack { spacing, unit, .. } = stack(&text, &group(1), None);
             (spacing.map(|s| s.unwrap_or(0.0)), unit)
         };
         for (name, expected) in [

@@ -3,7 +3,8 @@
 
 use std::collections::HashMap;
 
-use super::{PageLocation, PlaneAxis, Stack};
+use super::PageLocation;
+use super::stack::{MAX_PLANES, PlaneAxis, Stack};
 use crate::error::quoted;
 use crate::plan::ChannelLook;
 use crate::units::{length_unit, time_step, time_unit};
@@ -167,8 +168,8 @@ pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Res
         return Err(format!("DimensionOrder is {}, expected an order such as XYZCT", quoted(order)));
     }
     let num_planes = axes.iter().try_fold(1u64, |n, a| n.checked_mul(a.1)).unwrap_or(u64::MAX);
-    if num_planes > super::MAX_PLANES {
-        return Err(format!("{num_planes} planes, expected at most {}", super::MAX_PLANES));
+    if num_planes > MAX_PLANES {
+        return Err(format!("{num_planes} planes, expected at most {}", MAX_PLANES));
     }
     let planes = planes(image, &axes, num_planes as usize, files)?;
     let (spacing, unit) = spacing(image);
@@ -187,6 +188,7 @@ pub(super) fn stack(ome: &Ome, index: usize, files: &Files, samples: u64) -> Res
         time_step: interval(image),
         guess: None,
         name: "OME-TIFF",
+        in_files: "",
     })
 }
 

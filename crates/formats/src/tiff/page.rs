@@ -9,7 +9,9 @@ use ::tiff::tags::{PlanarConfiguration, SampleFormat, Tag, Type};
 use ::tiff::{ColorType, TiffError};
 
 use super::check;
+use super::chunks::{PageChunks, byte_order};
 use super::imagej;
+use super::palette::Palette;
 use super::shaped::Shaped;
 use crate::dtype::{Dtype, Endian};
 use crate::error::{FormatError, io_error, malformed, shown};
@@ -25,6 +27,8 @@ pub(super) struct PageShape {
     pub(super) samples: u16,
     pub(super) is_planar: bool,
     pub(super) dtype: Dtype,
+    /// Whether the least number is white (MinIsWhite).
+    pub(super) is_white: bool,
 }
 
 impl PageShape {
@@ -52,8 +56,8 @@ pub(super) struct Group {
     pub(super) unit_mm: Option<f64>,
     /// Offset of the numbers of the first page, if they are plain and without gaps.
     pub(super) block: Option<u64>,
-    /// Whether the least number is white (MinIsWhite).
-    pub(super) is_white: bool,
+    /// The colours of its numbers.
+    pub(super) palette: Option<Palette>,
 }
 
 pub(super) struct Scan {
@@ -78,10 +82,7 @@ impl Scan {
                 expected: "a volume; `bfconvert -series N` makes a plain TIFF of one of its pictures",
             });
         }
-        let endian = match decoder.byte_order() {
-            ::tiff::tags::ByteOrder::LittleEndian => Endian::Little,
-            ::tiff::tags::ByteOrder::BigEndian => Endian::Big,
-        };
+        let endian = byte_order(&decoder);
         let imagej = imagej_metadata(&mut decoder, endian);
         let mut groups = vec![Group::here(&mut decoder, 0).map_err(|e| e.at(path, 0))?];
         let (mut page, mut num_other) = (0, 0);
@@ -141,6 +142,7 @@ impl Group {
     /// A group of the current page of the decoder.
     fn here(decoder: &mut PageDecoder, page: u32) -> Result<Self, PageError> {
         let shape = page_shape(decoder)?;
+        let chunks = PageChunks::here(decoder, 0, &shape)?;
         let resolution =
             [Tag::XResolution, Tag::YResolution].map(|tag| decoder.get_tag(tag).ok().and_then(ratio));
         let unit_mm = match decoder.get_tag_u32(Tag::ResolutionUnit) {
@@ -154,8 +156,8 @@ impl Group {
             shaped: description_of(decoder, MAX_SHAPED_BYTES).and_then(|d| Shaped::of(&d)),
             resolution,
             unit_mm,
-            block: plain_block(decoder),
-            is_white: is_white(decoder),
+            block: chunks.plain_block(&shape),
+            palette: Palette::here(decoder),
         })
     }
 }
@@ -168,28 +170,6 @@ fn imagej_metadata(decoder: &mut PageDecoder, endian: Endian) -> Option<imagej::
     };
     let lengths: Vec<u32> = lengths.as_chunks().0.iter().map(number).collect();
     imagej::Metadata::of(&bytes_of(decoder, IMAGEJ_METADATA, MAX_IMAGEJ_BYTES)?, &lengths)
-}
-
-/// Offset of the strips of the current page, if they are not packed and have no gaps between them.
-pub(super) fn plain_block(decoder: &mut PageDecoder) -> Option<u64> {
-    if decoder.get_tag_u32(Tag::Compression).unwrap_or(1) != 1 {
-        return None;
-    }
-    let offsets = decoder.get_tag_u64_vec(Tag::StripOffsets).ok()?;
-    // The length of a single strip does not matter, and is wrong above 4 GB.
-    if offsets.len() > 1 {
-        let lengths = decoder.get_tag_u64_vec(Tag::StripByteCounts).ok()?;
-        let is_next = |(pair, length): (&[u64], &u64)| pair[0].checked_add(*length) == Some(pair[1]);
-        if lengths.len() != offsets.len() || !offsets.windows(2).zip(&lengths).all(is_next) {
-            return None;
-        }
-    }
-    offsets.first().copied()
-}
-
-/// Whether the least number of the current page is white.
-pub(super) fn is_white(decoder: &mut PageDecoder) -> bool {
-    decoder.get_tag_u32(Tag::PhotometricInterpretation).is_ok_and(|p| p == 0)
 }
 
 /// Opens a decoder at the first page of the file at `path`.
@@ -258,16 +238,24 @@ impl PageError {
 
 pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageError> {
     let (width, height) = decoder.dimensions().map_err(PageError::Tiff)?;
-    let color = decoder.colortype().map_err(PageError::Tiff)?;
-    let samples = match color {
-        ColorType::YCbCr(_) | ColorType::CMYK(_) | ColorType::CMYKA(_) | ColorType::Lab(_) => {
-            return Err(PageError::Kind(format!("colours are {color:?}, expected grey, RGB or channels")));
+    let photometric =
+        decoder.find_tag_unsigned::<u32>(Tag::PhotometricInterpretation).map_err(PageError::Tiff)?;
+    let is_white = photometric == Some(0);
+    let (samples, bits) = if photometric == Some(PALETTE) {
+        palette_sizes(decoder)?
+    } else {
+        let color = decoder.colortype().map_err(PageError::Tiff)?;
+        match color {
+            ColorType::YCbCr(_) | ColorType::CMYK(_) | ColorType::CMYKA(_) | ColorType::Lab(_) => {
+                return Err(PageError::Kind(format!(
+                    "colours are {color:?}, expected grey, RGB or channels"
+                )));
+            }
+            color => (color.num_samples(), color.bit_depth()),
         }
-        color => color.num_samples(),
     };
     let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(PageError::Tiff)?;
     let format = formats.and_then(|f| f.first().copied()).unwrap_or(1);
-    let bits = color.bit_depth();
     let dtype = match (SampleFormat::from_u16(format), bits) {
         (Some(SampleFormat::Int), 8) => Dtype::Int8,
         (Some(SampleFormat::Int), 16) => Dtype::Int16,
@@ -295,7 +283,7 @@ pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageErr
         dtype,
         Dtype::Uint8 | Dtype::Uint16 | Dtype::Uint32 | Dtype::Uint64 | Dtype::Float | Dtype::Double
     );
-    if is_white(decoder) && !(is_turnable && samples == 1) {
+    if is_white && !(is_turnable && samples == 1) {
         let name = dtype.name();
         let problem = format!(
             "the least number is white (MinIsWhite) of {samples} samples of type {name}, expected one without sign"
@@ -310,7 +298,18 @@ pub(super) fn page_shape(decoder: &mut PageDecoder) -> Result<PageShape, PageErr
             "{width}×{height} pixels of {samples} samples, expected at least one of each"
         )));
     }
-    Ok(PageShape { width, height, samples, is_planar, dtype })
+    Ok(PageShape { width, height, samples, is_planar, dtype, is_white })
+}
+
+/// Numbers of a pixel and their bits, of a page with a table of colours.
+fn palette_sizes(decoder: &mut PageDecoder) -> Result<(u16, u8), PageError> {
+    let samples =
+        decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(PageError::Tiff)?.unwrap_or(1);
+    let bits = decoder.find_tag_unsigned_vec::<u8>(Tag::BitsPerSample).map_err(PageError::Tiff)?;
+    if samples != 1 {
+        return Err(PageError::Kind(format!("{samples} samples of a palette, expected one")));
+    }
+    Ok((samples, bits.and_then(|bits| bits.first().copied()).unwrap_or(1)))
 }
 
 /// A positive fraction as a number.
@@ -345,6 +344,8 @@ const IMAGEJ_LENGTHS: Tag = Tag::Unknown(50838);
 const IMAGEJ_METADATA: Tag = Tag::Unknown(50839);
 /// Most bytes of what ImageJ says. It may have the labels of many slices.
 const MAX_IMAGEJ_BYTES: u64 = 4 << 20;
+/// The interpretation of numbers as places in a table of colours.
+const PALETTE: u32 = 3;
 /// SGI's tag for pages that are volumes.
 const IMAGE_DEPTH: Tag = Tag::Unknown(32997);
 /// Most pages of a file.

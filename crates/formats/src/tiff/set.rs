@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::ome::{self, Files, Ome};
 use super::page::{self, Group, Scan};
-use super::{PageLocation, Stack, TiffFile, plan, several_series};
+use super::stack::{Stack, plan};
+use super::{PageLocation, TiffFile, several_series};
 use crate::error::{FormatError, io_error, malformed, not_there, quoted, shown};
 use crate::foreign::HomeFolder;
 use crate::source::{OpenOptions, file_name, open_file};
@@ -78,7 +79,7 @@ impl OmeSet {
         path: &Path,
         options: &OpenOptions,
     ) -> Result<TiffFile, FormatError> {
-        let bad = malformed(path, OME_TIFF);
+        let (bad, endian) = (malformed(path, OME_TIFF), first.endian);
         let Self { ome, index, files, paths, num_left } = self;
         let mut missing: Vec<&PathBuf> = paths[1..].iter().filter(|p| !p.is_file()).collect();
         // All pages should have the shape of the first that exists.
@@ -104,7 +105,7 @@ impl OmeSet {
             }
             group.pages.iter().map(|&page| Some(PageLocation { file: 0, page })).collect()
         });
-        let mut plan = plan(&group, &mut stack, None, 1).map_err(bad)?;
+        let mut plan = plan(&group, &mut stack, endian).map_err(bad)?;
         if ome.num_images() > 1 && options.selection.series.is_none() {
             plan.warn(WarningKind::Choice, several_series(&plan.series));
         }
@@ -127,7 +128,8 @@ impl OmeSet {
         for text in warnings {
             plan.warn(WarningKind::Data, text);
         }
-        Ok(TiffFile { plan, files: paths, planes, shape: group.shape, contiguous: None, reader: None })
+        let (shape, max_bytes) = (group.shape, options.max_bytes);
+        Ok(TiffFile { plan, files: paths, planes, shape, contiguous: None, max_bytes })
     }
 }
 

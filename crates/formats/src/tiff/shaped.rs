@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 use super::page::{Group, PageShape};
-use super::{PlaneAxis, Stack};
+use super::stack::{PlaneAxis, Stack};
 
 /// The shape of an array that begins at a page.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -116,7 +116,8 @@ mod tests {
     use crate::dtype::Dtype;
 
     fn group(samples: u16, is_planar: bool) -> Group {
-        let shape = PageShape { width: 6, height: 5, samples, is_planar, dtype: Dtype::Uint8 };
+        let shape =
+            PageShape { width: 6, height: 5, samples, is_planar, dtype: Dtype::Uint8, is_white: false };
         Group {
             shape,
             pages: vec![0],
@@ -124,7 +125,7 @@ mod tests {
             resolution: [None; 2],
             unit_mm: None,
             block: None,
-            is_white: false,
+            palette: None,
         }
     }
 

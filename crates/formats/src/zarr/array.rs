@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::codec::{Codecs, compressor_of};
 use super::json;
 use super::store::Store;
-use crate::dtype::{Dtype, Endian};
+use crate::dtype::{Dtype, Endian, numbers_from_bytes};
 use crate::error::{FormatError, malformed, quoted};
 
 /// An array. Axes are slowest first, as in the format.
@@ -43,7 +43,12 @@ impl Array {
             Some(value) => (value, 3),
             None => (json::require(store, &path.join(".zarray"))?, 2),
         };
-        let array = if version == 3 { Self::of_version_3(&value) } else { Self::of_version_2(&value) };
+        Self::of(path, &value, version)
+    }
+
+    /// The array in the folder `path`, which `value` describes.
+    pub(super) fn of(path: &Path, value: &Value, version: u8) -> Result<Self, FormatError> {
+        let array = if version == 3 { Self::of_version_3(value) } else { Self::of_version_2(value) };
         let bad = malformed(path, "Zarr array");
         let mut array = array.and_then(Self::checked).map_err(bad)?;
         array.path = path.to_owned();
@@ -159,6 +164,24 @@ impl Array {
     /// Bytes of such a chunk.
     pub(super) fn chunk_bytes(&self) -> u64 {
         self.sides().iter().fold(self.dtype.num_bytes() as u64, |n, side| n.saturating_mul(*side))
+    }
+
+    /// The number that is not stored.
+    pub(super) fn fill_number(&self) -> Option<f64> {
+        numbers_from_bytes(&self.fill, self.dtype, self.codecs.endian).first().copied()
+    }
+
+    /// The folder of the files of chunks, and whether each number in their names is a folder.
+    pub(super) fn chunk_folder(&self) -> (PathBuf, bool) {
+        let is_nested = self.separator == '/';
+        (if is_nested { self.path.join(self.prefix) } else { self.path.clone() }, is_nested)
+    }
+
+    /// The numbers in the name of a file of a chunk, where they are in one name.
+    pub(super) fn index_of(&self, name: &str) -> Option<Vec<u64>> {
+        let rest =
+            if self.prefix.is_empty() { name } else { name.strip_prefix(self.prefix)?.strip_prefix('.')? };
+        rest.split('.').map(|word| word.parse().ok()).collect()
     }
 
     pub(super) fn chunk_path(&self, index: &[u64]) -> PathBuf {

@@ -1,12 +1,16 @@
 //! Boxes of an array for pages. Neighbouring pages share the chunks that were decoded.
 
 use std::collections::HashSet;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::ArrayPyramid;
-use super::chunks::{Chunks, ReadChunk};
+use super::array::Array;
+use super::chunks::{Chunks, ReadChunk, absent_text};
+use super::store::Store;
 use crate::chunk_cache::{ChunkCache, ChunkKey};
+use crate::chunk_grid::next_index;
 use crate::decode::VoxelSink;
 use crate::error::{FormatError, shown};
 use crate::hyperslab::Steps;
@@ -96,8 +100,46 @@ impl BoxReader for ArrayBoxes {
         absent.iter().filter(|(level, _)| *level == self.level).count() as u64
     }
 
+    fn absence(&self) -> Option<String> {
+        let array = &self.pyramid.arrays[self.level];
+        let (present, num_files) = present_files(array, &self.pyramid.store)?;
+        (present < num_files).then(|| absent_text(num_files - present, num_files))
+    }
+
     fn cost(&self) -> Option<String> {
         self.cost.clone()
+    }
+}
+
+/// How many files of chunks or shards an array has, and how many it could have; `None` if they are many, or at an
+/// address.
+fn present_files(array: &Array, store: &Store) -> Option<(u64, u64)> {
+    let counts: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(n, side)| n.div_ceil(*side)).collect();
+    let num_files = counts.iter().try_fold(1u64, |n, count| n.checked_mul(*count))?;
+    if num_files > MAX_ABSENT as u64 || matches!(store, Store::Web(..)) {
+        return None;
+    }
+    let (folder, is_nested) = array.chunk_folder();
+    if !is_nested {
+        let names = store.names_in(&folder, 2 * MAX_ABSENT)?;
+        let is_one =
+            |index: Vec<u64>| index.len() == counts.len() && index.iter().zip(&counts).all(|(i, n)| i < n);
+        let present = names.iter().filter(|name| array.index_of(name).is_some_and(is_one)).count();
+        return Some((present as u64, num_files));
+    }
+    let (last, outer) = counts.split_last()?;
+    let outer: Vec<Range<u64>> = outer.iter().map(|n| 0..*n).collect();
+    let mut index = vec![0; outer.len()];
+    let mut present = 0;
+    loop {
+        let inner = index.iter().fold(folder.clone(), |path, i| path.join(i.to_string()));
+        // A folder that is not there has no chunks.
+        let names = store.names_in(&inner, 2 * MAX_ABSENT).unwrap_or_default();
+        let is_one = |name: &&String| name.parse::<u64>().is_ok_and(|i| i < *last);
+        present += names.iter().filter(is_one).count() as u64;
+        if index.is_empty() || !next_index(&mut index, &outer) {
+            return Some((present, num_files));
+        }
     }
 }
 

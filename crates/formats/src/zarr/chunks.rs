@@ -11,9 +11,10 @@ use super::array::{Array, Shard};
 use super::boxes::SharedChunks;
 use super::store::{Part, Store};
 use crate::channels::{ChannelSinks, Piece, StreamShape};
-use crate::chunk_grid::{ChunkGrid, MAX_CHUNKS, covering, next_index};
+use crate::chunk_grid::{ChunkGrid, MAX_CHUNKS, covering, next_index, place_chunk};
 use crate::collector::Collector;
 use crate::decode::VoxelSink;
+use crate::dtype::numbers_from_bytes;
 use crate::error::{FormatError, io_error, shown};
 use crate::hyperslab::Steps;
 use crate::unpack::crc32c;
@@ -61,6 +62,38 @@ pub(super) fn read_chunks(
     Chunks { array, store, grid, cancel: collector.cancel(), shared: None }.read_all(collector)
 }
 
+/// All numbers of a short array with one axis or two, the last one fastest, as coordinates are; `None` if it is long, or
+/// cannot be read.
+pub(super) fn short_numbers(array: &Array, store: &Store) -> Option<Vec<f64>> {
+    let count = array.shape.iter().try_fold(1u64, |n, side| n.checked_mul(*side))?;
+    if array.shape.len() > 2 || count > MAX_SHORT || array.chunk_bytes() > MAX_SHORT * 8 {
+        return None;
+    }
+    let selected: Vec<Steps> = array.shape.iter().rev().map(|n| Steps::all(0..*n)).collect();
+    let grid = grid_of(array, &selected, None);
+    let chunks = Chunks { array, store, grid, cancel: None, shared: None };
+    let size = array.dtype.num_bytes();
+    let mut all = array.fill.repeat(count as usize);
+    let placed = chunks.for_batches(|batch, _| {
+        for chunk in batch {
+            // Chunks with another order of their axes are rare, and such coordinates are left out.
+            if let Some(bytes) = chunks.decoded(&chunk)?.filter(|_| array.codecs.order.is_sorted()) {
+                place_chunk(&mut all, &array.shape, (&chunk.start, array.sides()), &bytes, size);
+            }
+        }
+        Ok(())
+    });
+    placed.ok()?;
+    Some(numbers_from_bytes(&all, array.dtype, array.codecs.endian))
+        .filter(|_| array.codecs.order.is_sorted())
+}
+
+/// The warning about files of chunks that are not there.
+pub(super) fn absent_text(num_absent: u64, num_files: u64) -> String {
+    let hint = if num_absent == num_files { "; is the dimension separator right?" } else { "" };
+    format!("chunks not found: {num_absent} of {num_files}, shown as the fill value of the array{hint}")
+}
+
 /// The grid of an array. `selected` and `channel_axis` are those of the plan.
 fn grid_of<'a>(array: &'a Array, selected: &[Steps], channel_axis: Option<usize>) -> ChunkGrid<'a> {
     let num_axes = array.shape.len();
@@ -100,11 +133,7 @@ impl<'a> Chunks<'a> {
             collector.tick()
         })?;
         if num_absent > 0 {
-            let hint = if num_absent == num_files { "; is the dimension separator right?" } else { "" };
-            let text = format!(
-                "chunks not found: {num_absent} of {num_files}, shown as the fill value of the array{hint}"
-            );
-            collector.warn(WarningKind::Data, text);
+            collector.warn(WarningKind::Data, absent_text(num_absent, num_files));
         }
         Ok(())
     }
@@ -286,5 +315,7 @@ fn shard_index(bytes: &[u8], count: usize, has_checksum: bool) -> Result<Vec<(u6
 
 /// Chunks in a folder that are not worth several threads.
 const FEW_CHUNKS: usize = 128;
+/// Most numbers of coordinates.
+const MAX_SHORT: u64 = 1 << 22;
 /// What codecs may add to the numbers.
 const CODEC_BYTES: u64 = 1 << 16;

@@ -70,7 +70,13 @@ impl ImageFacts<'_> {
             several => Some(Value::from(several)),
         };
         list.extend(missing.map(|missing| ("missing_value".to_owned(), missing)));
-        list.extend(self.gaps.valid.map(|(lo, hi)| ("valid_range".to_owned(), json!([lo, hi]))));
+        // The type tells that the ends are numbers of the array, and not values.
+        let is_whole = self.plan.dtype.integer_range().is_some();
+        let range = |(lo, hi): (f64, f64)| match is_whole {
+            true => json!([lo.round() as i64, hi.round() as i64]),
+            false => json!([lo, hi]),
+        };
+        list.extend(self.gaps.valid.map(|ends| ("valid_range".to_owned(), range(ends))));
         list.extend(self.plan.value_unit.clone().map(|unit| ("units".to_owned(), unit.into())));
         Value::Object(list)
     }

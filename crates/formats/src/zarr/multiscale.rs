@@ -10,8 +10,8 @@ use serde_json::Value;
 use super::array::Array;
 use super::json;
 use super::store::Store;
-use super::values::ArrayValues;
 use crate::axes::{Geometry, World};
+use crate::cf::NumberMeaning;
 use crate::error::{FormatError, malformed, quoted};
 use crate::levels::LevelGrid;
 use crate::outline::Level;
@@ -31,8 +31,8 @@ pub(super) struct Multiscale {
     looks: Vec<ChannelLook>,
     /// What the labels mean, if the image has labels.
     labels: Option<Vec<VolumeLabel>>,
-    /// Whether the axes are named.
-    is_image: bool,
+    /// Whether the axes are named. A single array is no image.
+    pub(super) is_image: bool,
     /// What this program adds to its own images.
     own: OwnWords,
 }
@@ -84,7 +84,7 @@ impl Multiscale {
             Some(value) if value["node_type"].as_str() == Some("array") => {
                 return Self::of_array(store, path);
             }
-            Some(value) => value.get("attributes").and_then(|a| a.get("ome").or(Some(a))).cloned(),
+            Some(value) => json::attributes_in(&value),
             None if store.has(&path.join(".zarray"))? => return Self::of_array(store, path),
             None => json::read(store, &path.join(".zattrs"))?,
         };
@@ -233,7 +233,12 @@ impl Multiscale {
         (x.dot(y.cross(z)).abs() > 0.5).then_some(directions)
     }
 
-    pub(super) fn plan(&self, arrays: &[Array], level: usize, values: &ArrayValues) -> Result<Plan, String> {
+    pub(super) fn plan(
+        &self,
+        arrays: &[Array],
+        level: usize,
+        values: &NumberMeaning,
+    ) -> Result<Plan, String> {
         let array = &arrays[level];
         if let Some(other) = arrays.iter().find(|a| a.shape.len() != self.axes.len()) {
             return Err(format!("an array has shape {:?}, expected {} axes", other.shape, self.axes.len()));

@@ -1,6 +1,6 @@
 //! Where the files of an image are.
 
-use std::fs::File;
+use std::fs;
 use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{FormatError, io_error, shown};
 use crate::foreign::HomeFolder;
-use crate::source::OpenOptions;
+use crate::source::{OpenOptions, open_file};
 use crate::web::WebFolder;
 
 /// The files of an image.
@@ -48,6 +48,39 @@ impl Store {
         }
     }
 
+    /// The names of the folders in the folder `path`, sorted, at most so many; empty at an address.
+    ///
+    /// # Errors
+    /// The folder is outside, or cannot be read.
+    pub(super) fn folders_in(&self, path: &Path, most: usize) -> Result<Vec<String>, FormatError> {
+        let Self::Folder(home) = self else { return Ok(Vec::new()) };
+        home.check(path)?;
+        let mut names = Vec::new();
+        for entry in fs::read_dir(path).map_err(io_error(path))?.take(MAX_ENTRIES) {
+            let entry = entry.map_err(io_error(path))?;
+            let name = entry.file_name().to_str().map(str::to_owned);
+            if names.len() < most && entry.path().is_dir() {
+                names.extend(name.filter(|name| !name.starts_with('.')));
+            }
+        }
+        names.sort();
+        Ok(names)
+    }
+
+    /// The names in the folder `path`, at most so many; `None` if there are more, or if it is an address.
+    pub(super) fn names_in(&self, path: &Path, most: usize) -> Option<Vec<String>> {
+        let Self::Folder(home) = self else { return None };
+        home.check(path).ok()?;
+        let mut names = Vec::new();
+        for entry in fs::read_dir(path).ok()? {
+            if names.len() >= most {
+                return None;
+            }
+            names.extend(entry.ok()?.file_name().into_string().ok());
+        }
+        Some(names)
+    }
+
     /// Most images that are looked for in a group.
     pub(super) fn max_images(&self) -> usize {
         match self {
@@ -74,16 +107,16 @@ impl Store {
         home.check(path)?;
         let io = io_error(path);
         let bad = |problem: String| FormatError::Data { path: shown(path), problem };
-        let mut file = match File::open(path) {
+        let mut file = match open_file(path) {
             Ok(file) => file,
-            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
-            Err(e) => return Err(io(e)),
+            Err(FormatError::Io { cause, .. })
+                if matches!(cause.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
+            {
+                return Ok(None);
+            }
+            Err(e) => return Err(e),
         };
-        let metadata = file.metadata().map_err(io)?;
-        if !metadata.is_file() {
-            return Err(bad("a folder or device, expected a file".into()));
-        }
-        let length = metadata.len();
+        let length = file.metadata().map_err(io)?.len();
         let (at, size) = match part {
             Part::Whole => (0, length),
             Part::At(at, size) => (at, size),
@@ -110,6 +143,8 @@ impl Store {
     }
 }
 
+/// Most entries of a folder that are looked at.
+const MAX_ENTRIES: usize = 1 << 20;
 /// Requests at once.
 const NUM_REQUESTS: usize = 16;
 /// Longest file whose presence is asked for.

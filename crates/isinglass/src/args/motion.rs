@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use isinglass_bench::paths;
 use isinglass_client::{CameraPath, Foresight};
+use isinglass_formats::{open_file, read_text};
 
 use super::Switch;
 
@@ -55,11 +56,11 @@ impl PathArgs {
             let found = found.with_context(|| format!("{name}: expected one of {}", known()))?;
             return Ok(Some(found.with_context(|| name.to_string())?));
         }
-        let size = std::fs::metadata(path).with_context(|| name.to_string())?.len();
+        let size = open_file(path)?.metadata().with_context(|| name.to_string())?.len();
         if size > MAX_PATH_BYTES {
             bail!("{name}: found {size} bytes, expected a camera path of at most {MAX_PATH_BYTES}");
         }
-        let text = std::fs::read_to_string(path).with_context(|| name.to_string())?;
+        let text = read_text(path, MAX_PATH_BYTES)?;
         Ok(Some(CameraPath::parse(&text).with_context(|| name.to_string())?))
     }
 }

@@ -10,7 +10,7 @@ use isinglass_bench::progress::Progress;
 use isinglass_core::volume::{Lighting, Volume};
 use isinglass_formats::{
     Dtype, Endian, Flip, Meaning, OpenOptions, Outline, PageCount, PagedFile, RawShape, Reading, Region,
-    Selection, VolumeSource, open, open_paged, outline, page_count,
+    Selection, VolumeFacts, VolumeSource, facts_at_once, open, open_paged, outline, page_count,
 };
 use isinglass_formats::{OpenedScene, open_scene};
 
@@ -23,7 +23,7 @@ use crate::memory::MemoryArgs;
 #[derive(Args, Clone, Debug)]
 pub(crate) struct VolumeArgs {
     /// A file or folder, also in gzip or ZIP: DICOM, NIfTI, NRRD, MetaImage, TIFF, OME-TIFF, OME-Zarr, VTK, MRC, MGH,
-    /// NumPy, HDF5, NetCDF-4, Imaris or PNG. An array's path may follow that of an HDF5 file. OME-Zarr may be at http://, https:// or s3://. A raw file needs --dims and --dtype. Built in are builtin:cloud, builtin:cubus and
+    /// NumPy, HDF5, NetCDF, Imaris or PNG. An array's path may follow that of an HDF5 file. OME-Zarr may be at http://, https:// or s3://. A raw file needs --dims and --dtype. Built in are builtin:cloud, builtin:cubus and
     /// builtin:shells, with @N for N voxels a side
     #[arg(value_name = "VOLUME", required = true, help_heading = None::<&'static str>, value_parser = any_text())]
     pub(crate) volume: Option<String>,
@@ -131,6 +131,11 @@ impl VolumeArgs {
         with_percent("reading the coarsest level", |progress| {
             Ok(open_paged(source, &OpenOptions { progress: Some(progress), ..options })?)
         })
+    }
+
+    /// What is known of a large file at once; `None` if it is small enough to be read.
+    pub(crate) fn facts_at_once(&self) -> Result<Option<VolumeFacts>> {
+        Ok(facts_at_once(self.source()?, &self.options(&self.part.reading()))?)
     }
 
     /// The pages that it can be read by, if it can.

@@ -55,12 +55,8 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
 /// Reads a PNG file. Transparent pixels are put on `background`.
 fn read(path: &Path, background: [u8; 3]) -> Result<Rgb8> {
     let name = || path.display().to_string();
-    ensure!(
-        std::fs::metadata(path).with_context(name)?.is_file(),
-        "{}: not a regular file, expected a PNG picture",
-        name()
-    );
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).with_context(name)?;
+    let reader = ImageReader::new(std::io::BufReader::new(isinglass_formats::open_file(path)?));
+    let reader = reader.with_guessed_format().with_context(name)?;
     ensure!(reader.format() == Some(ImageFormat::Png), "{}: not a PNG picture, by its first bytes", name());
     let decoded = reader.decode().with_context(name)?;
     let color = decoded.color();

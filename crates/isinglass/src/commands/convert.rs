@@ -13,6 +13,7 @@ use isinglass_formats::{Conversion, FormatError, OpenOptions};
 use serde_json::json;
 
 use crate::args::{VolumeArgs, not_an_input, parse_output};
+use crate::local::index_folder;
 use crate::memory::MemoryArgs;
 use crate::report::{print, print_json};
 
@@ -39,7 +40,9 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let cancel = cancel_on_interrupt()?;
     let bar = Bar::new();
     let report = |fraction: f32| bar.show(fraction);
-    let options = OpenOptions { progress: Some(&report), cancel: Some(&cancel), ..request.options() };
+    let (progress, cancel, index_folder): (Option<&dyn Fn(f32)>, _, _) =
+        (Some(&report), Some(&*cancel), index_folder());
+    let options = OpenOptions { progress, cancel, index_folder, ..request.options() };
     let conversion = Conversion::begin(&request.source, &args.output, &options)?;
     let summary = summary(&conversion);
     bar.start(&conversion, &summary, &args.output);
@@ -147,6 +150,7 @@ impl Bar {
 
 /// A flag that Ctrl-C sets.
 fn cancel_on_interrupt() -> Result<Arc<AtomicBool>> {
+    crate::ending::leave_to_command(false);
     let cancel = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&cancel);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();

@@ -18,12 +18,17 @@ pub(crate) struct IndexArgs {
 
 pub(crate) fn run(args: &IndexArgs) -> Result<()> {
     let paged = args.volume.open_paged(&args.memory)?;
-    let index = match &paged.index {
-        Some(index) => (**index).clone(),
-        None => with_percent("reading all pages", |progress| paged.build_index(Some(progress), None))?,
+    let known = paged.index.as_ref().filter(|_| paged.is_indexed());
+    let (index, file) = match known {
+        Some(index) => ((**index).clone(), paged.index_file()),
+        None => {
+            let built =
+                with_percent("reading all voxels", |progress| paged.build_index(Some(progress), None))?;
+            let file = paged.keep_index(&built)?;
+            (built.index, file)
+        }
     };
-    let file =
-        paged.keep_index(&index)?.context("there is no folder for it, expected XDG_CACHE_HOME or HOME")?;
+    let file = file.context("there is no folder for it, expected XDG_CACHE_HOME or HOME")?;
     let [x, y, z] = index.pages();
     let num_pages = u64::from(x) * u64::from(y) * u64::from(z);
     let channels = match index.num_channels() {

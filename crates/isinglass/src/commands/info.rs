@@ -1,14 +1,13 @@
 //! `info`: the contents of a volume or a stored layered frame.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use anyhow::Result;
 use clap::Args;
 use isinglass_core::volume::Histogram;
-use isinglass_formats::VolumeFacts;
 use isinglass_formats::iglf::{self, Origin, StoredFrame};
+use isinglass_formats::{VolumeFacts, open_file};
 use serde_json::json;
 
 use crate::args::VolumeArgs;
@@ -19,6 +18,10 @@ pub(crate) struct InfoArgs {
     /// As JSON
     #[arg(long)]
     json: bool,
+    /// Read all voxels for the values, however long that takes [default: those of the index, of the coarsest level, or
+    /// of a sample of a large file]
+    #[arg(long)]
+    values: bool,
     // Last: what follows would be listed under their headings.
     #[command(flatten)]
     volume: VolumeArgs,
@@ -30,16 +33,25 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     if args.volume.raw.shape().is_none() && is_stored_frame(path) {
         return frame(path, args.json);
     }
-    let (volume, mut outline) = args.volume.open()?;
-    outline.pages = args.volume.page_count()?;
-    let mut facts = VolumeFacts::of(&volume, &Histogram::of(&volume));
-    facts.file = (!source.starts_with("builtin:")).then_some(outline);
+    let at_once = if args.values { None } else { args.volume.facts_at_once()? };
+    let mut facts = match at_once {
+        Some(facts) => facts,
+        None => {
+            let (volume, outline) = args.volume.open()?;
+            let mut facts = VolumeFacts::of(&volume, &Histogram::of(&volume));
+            facts.file = (!source.starts_with("builtin:")).then_some(outline);
+            facts
+        }
+    };
+    if let Some(outline) = &mut facts.file {
+        outline.pages = args.volume.page_count()?;
+    }
     if args.json { print_json(&facts) } else { print(&facts.to_string()) }
 }
 
 fn is_stored_frame(path: &Path) -> bool {
     let mut start = [0; 4];
-    path.is_file() && File::open(path).and_then(|mut f| f.read_exact(&mut start)).is_ok() && start == *b"IGLF"
+    open_file(path).is_ok_and(|mut f| f.read_exact(&mut start).is_ok()) && start == *b"IGLF"
 }
 
 fn frame(path: &Path, is_json: bool) -> Result<()> {

@@ -20,6 +20,7 @@ use tokio::time::Instant;
 use crate::args::{BackendArgs, GpusArgs, ListArgs, LookArgs, PlanArgs, VolumeArgs, parse_mbit};
 use crate::detach;
 use crate::distributed::{DistributedArgs, Together};
+use crate::ending;
 use crate::given::Given;
 use crate::identity_file;
 use crate::light_args::LightArgs;
@@ -218,6 +219,7 @@ fn serve(
 
 /// Returns on Ctrl-C, or on SIGTERM, which service managers send.
 async fn told_to_end() -> Result<()> {
+    ending::leave_to_command(true);
     let ctrl_c = async { tokio::signal::ctrl_c().await.context("cannot wait for Ctrl-C") };
     #[cfg(unix)]
     {

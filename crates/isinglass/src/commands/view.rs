@@ -119,10 +119,13 @@ pub(crate) fn run(args: ViewerArgs, given: Given) -> Result<()> {
         _ => None,
     };
     let seen = args.state.read_or(of_link, given)?;
-    let target = match (target.filter(|target| !matches!(target, Target::View(_))), seen.link()) {
-        (None, Some(link)) => Some(Target::Server(link.context("the link of the state's volume")?)),
-        (target, _) => target,
-    };
+    let target = target.filter(|target| !matches!(target, Target::View(_)));
+    // Whoever wrote the state chose the server, and a window would show whom it calls.
+    if let (None, Some(server)) = (&target, seen.server()?) {
+        bail!(
+            "the state's volume is at the server {server}, which a state alone does not call; name its link: view LINK --state FILE"
+        );
+    }
     let (raw, selection, spacing) = (args.raw.shape(), args.part.selection(), args.part.spacing);
     let is_of_volume =
         raw.is_some() || selection != Selection::default() || spacing.is_some() || seen.has_flags_of_look();

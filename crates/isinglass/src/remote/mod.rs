@@ -149,7 +149,7 @@ pub(crate) fn order(given: &crate::given::Given, transfer: Option<&str>) -> Resu
         let file = (*field == "tf").then_some(transfer).flatten().map(std::path::Path::new);
         match (value, file.filter(|file| file.is_file())) {
             (Some(name), Some(file)) if isinglass_formats::preset(name).is_none() => {
-                let text = std::fs::read_to_string(file).with_context(|| name.to_owned())?;
+                let text = isinglass_formats::read_text(file, isinglass_formats::MAX_TRANSFER_BYTES)?;
                 let name = file.file_name().unwrap_or_default().to_string_lossy();
                 order.transfer = Some((name.into_owned(), text));
             }

@@ -43,7 +43,7 @@ pub(super) enum Program {
 }
 
 impl Order {
-    /// The script. It greets, and serves if the program there speaks this protocol.
+    /// The script. It says that it has begun, greets, and serves if the program there speaks this protocol.
     pub(super) fn script(&self) -> Result<String> {
         let program = self.program();
         let path = match self.path.strip_prefix("~/") {
@@ -61,7 +61,8 @@ impl Order {
             flags += &format!(" --tf \"$d\"/{name}");
         }
         Ok(format!(
-            "{PATHS}p={program}
+            "echo {BEGUN}
+{PATHS}p={program}
 if command -v \"$p\" >/dev/null 2>&1; then v=$(\"$p\" --version </dev/null) || v=broken; else v=missing; fi
 set -- $SSH_CONNECTION
 echo \"{GREETING}|$(uname -sm)|$3|$v\"
@@ -84,6 +85,12 @@ case $3 in '') a=127.0.0.1:0;; *%*) a='[::]:0';; *:*) a=\"[$3]:0\";; *) a=\"$3:0
 }
 
 impl Greeting {
+    /// Whether the program there speaks this protocol, so that the script starts it.
+    pub(super) fn is_fit(&self) -> bool {
+        let end = format!("(protocol {PROTOCOL_VERSION})");
+        matches!(&self.program, Program::Version(said) if said.ends_with(&end))
+    }
+
     /// Reads a line; `None` for what the login shell prints by itself.
     pub(super) fn of(line: &str) -> Option<Self> {
         let mut fields = line.trim_end().strip_prefix(GREETING)?.strip_prefix('|')?.splitn(3, '|');
@@ -117,6 +124,8 @@ fn quoted(text: &str) -> Result<String> {
 
 /// Where programs are that a person has installed, beside where the system has them. What `--copy` copies goes first.
 const PATHS: &str = "PATH=\"$HOME/.local/bin:$PATH:$HOME/.cargo/bin\"; export PATH;\n";
+/// The line that says that the script has begun: from now on, nobody is asked for a password.
+pub(super) const BEGUN: &str = "isinglass-begun";
 /// The first word of the line that tells about the machine.
 const GREETING: &str = "isinglass-there";
 
@@ -152,7 +161,8 @@ mod tests {
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         child.stdin.take().unwrap().write_all(script.as_bytes()).unwrap();
         let output = child.wait_with_output().unwrap();
-        String::from_utf8(output.stdout).unwrap().lines().map(str::to_owned).collect()
+        let lines = String::from_utf8(output.stdout).unwrap();
+        lines.lines().filter(|line| *line != BEGUN).map(str::to_owned).collect()
     }
 
     fn version() -> String {

@@ -155,10 +155,12 @@ impl SshConfig {
 /// A folder of this user alone, with a short name, because names of sockets are short.
 fn folder_for_socket() -> Option<TempDir> {
     let folder = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|path| path.is_dir());
-    let made = tempfile::Builder::new()
-        .prefix("isinglass-")
-        .tempdir_in(folder.unwrap_or_else(std::env::temp_dir))
-        .ok()?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix("isinglass-");
+    // Whoever reaches the socket reaches the machine as this user.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o700));
+    let made = builder.tempdir_in(folder.unwrap_or_else(std::env::temp_dir)).ok()?;
     let name = made.path().to_str()?;
     // ssh reads a value of its options up to a blank, and puts names in place of a %.
     let is_good = name.len() <= MOST_BYTES_OF_FOLDER && !name.contains([' ', '%', '"']);
@@ -187,6 +189,19 @@ mod tests {
         let answer = answer.replace("none", "7") + "controlmaster auto\n";
         assert_eq!(SshConfig::of(&answer), SshConfig { host, is_shared: true, has_timeout: true });
         assert_eq!(SshConfig::of("no such option\n"), SshConfig::default());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_folder_of_the_socket_is_this_users_alone() {
+        let folder = folder_for_socket().unwrap();
+        let mode = std::os::unix::fs::PermissionsExt::mode(&folder.path().metadata().unwrap().permissions());
+        assert_eq!(mode & 0o777, 0o700);
+        // The control: a folder is open to others by default.
+        let usual = folder.path().join("usual");
+        std::fs::create_dir(&usual).unwrap();
+        let mode = std::os::unix::fs::PermissionsExt::mode(&usual.metadata().unwrap().permissions());
+        assert_ne!(mode & 0o077, 0, "this machine's umask closes all folders");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, ExitStatus, Stdio};
+use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread;
 use std::time::Duration;
@@ -11,7 +12,7 @@ use isinglass_core::text::printable;
 use isinglass_net::Link;
 
 use super::Told;
-use super::script::{Greeting, Order, Program, SHELL};
+use super::script::{BEGUN, Greeting, Order, SHELL};
 use super::ssh::Ssh;
 
 /// How a try ended that reached the machine.
@@ -37,11 +38,17 @@ pub(super) fn start(ssh: &Ssh, order: &Order, machine: &str, told: &Told) -> Res
     }
     let complaints = Complaints::listen(&mut child, told);
     let stdout = child.stdout.take().context("no output of ssh")?;
-    let (greeting, link) = answer(stdout, |greeting| {
-        if matches!(greeting.program, Program::Version(_)) {
+    let Answer { greeting, link, is_late } = answer(stdout, GREETING_TIME, |greeting| {
+        if greeting.is_fit() {
             told.line(&format!("{machine} reads the volume …"));
         }
     });
+    if is_late {
+        let _ = child.kill();
+        let _ = child.wait();
+        let seconds = GREETING_TIME.as_secs();
+        bail!("the isinglass on {machine} does not answer `isinglass --version` within {seconds} s");
+    }
     if let (Some(greeting), Some(link)) = (&greeting, link) {
         // ssh ends by itself, as the server there lets it go.
         thread::spawn(move || child.wait());
@@ -51,7 +58,9 @@ pub(super) fn start(ssh: &Ssh, order: &Order, machine: &str, told: &Told) -> Res
     let status = child.wait().context("ssh")?;
     let Heard { complaint, last } = complaints.end();
     match greeting {
-        Some(greeting) if status.success() && complaint.is_none() => Ok(Outcome::Unfit(greeting)),
+        Some(greeting) if status.success() && complaint.is_none() && !greeting.is_fit() => {
+            Ok(Outcome::Unfit(greeting))
+        }
         Some(_) => match complaint {
             Some(complaint) => bail!("{machine}: {complaint}"),
             None => {
@@ -62,20 +71,50 @@ pub(super) fn start(ssh: &Ssh, order: &Order, machine: &str, told: &Told) -> Res
     }
 }
 
-/// The greeting and the link in what comes from the other machine; neither if its output ends before.
-fn answer(stdout: impl Read, greeted: impl Fn(&Greeting)) -> (Option<Greeting>, Option<String>) {
-    let mut lines = BufReader::new(stdout.take(MOST_BYTES)).split(b'\n');
-    let (mut greeting, mut link) = (None, None);
-    while link.is_none()
-        && let Some(Ok(line)) = lines.next()
-    {
+/// What comes from the other machine.
+struct Answer {
+    greeting: Option<Greeting>,
+    link: Option<String>,
+    /// Whether the greeting did not follow in time. Then the rest was not waited for.
+    is_late: bool,
+}
+
+/// Reads the greeting and the link; neither is there if the output ends before. Between the begin of the script and the
+/// greeting, `patience` may pass.
+fn answer(stdout: impl Read + Send + 'static, patience: Duration, greeted: impl Fn(&Greeting)) -> Answer {
+    let (sender, lines) = mpsc::sync_channel(0);
+    thread::spawn(move || {
+        for line in BufReader::new(stdout.take(MOST_BYTES)).split(b'\n').map_while(Result::ok) {
+            if sender.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    let mut found = Answer { greeting: None, link: None, is_late: false };
+    let mut has_begun = false;
+    while found.link.is_none() {
+        let next = match has_begun && found.greeting.is_none() {
+            true => lines.recv_timeout(patience),
+            false => lines.recv().map_err(RecvTimeoutError::from),
+        };
+        let line = match next {
+            Ok(line) => line,
+            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) => {
+                found.is_late = true;
+                break;
+            }
+        };
         let line = String::from_utf8_lossy(&line);
-        match &greeting {
-            None => greeting = Greeting::of(&line).inspect(&greeted),
-            Some(_) => link = Some(line.trim()).filter(|l| l.starts_with("isinglass://")).map(str::to_owned),
+        has_begun |= line.trim_end() == BEGUN;
+        match &found.greeting {
+            None => found.greeting = Greeting::of(&line).inspect(&greeted),
+            Some(_) => {
+                found.link = Some(line.trim()).filter(|l| l.starts_with("isinglass://")).map(str::to_owned);
+            }
         }
     }
-    (greeting, link)
+    found
 }
 
 /// Why ssh has not started anything.
@@ -159,27 +198,58 @@ const OF_SSH: i32 = 255;
 const MOST_BYTES: u64 = 1 << 20;
 /// Longest line that is shown, in characters.
 const LONGEST_LINE: usize = 500;
+/// Time in which a program tells its version, also from a slow disk.
+const GREETING_TIME: Duration = Duration::from_secs(30);
 /// Time for the last lines of an ended process to arrive.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 #[cfg(test)]
 mod tests {
+    use super::super::script::Program;
     use super::*;
 
     #[test]
     fn the_answer_is_found_among_other_lines() {
         let text = "Welcome!\nisinglass://wrong\nisinglass-there|Linux x86_64|::1|isinglass 1 (protocol 2)\n* note\n isinglass://h:1/#x \nmore\n";
-        let (greeting, link) = answer(text.as_bytes(), |_| {});
+        let read = |text: &'static str| answer(text.as_bytes(), Duration::from_secs(60), |_| {});
+        let Answer { greeting, link, is_late } = read(text);
         assert_eq!(greeting.unwrap().address.as_deref(), Some("::1"));
-        assert_eq!(link.as_deref(), Some("isinglass://h:1/#x"));
+        assert_eq!((link.as_deref(), is_late), (Some("isinglass://h:1/#x"), false));
         for (text, is_greeted) in
             [("", false), ("isinglass://h:1/#x\n", false), ("isinglass-there|a||missing\nx", true)]
         {
-            let (greeting, link) = answer(text.as_bytes(), |_| {});
-            assert_eq!((greeting.is_some(), link), (is_greeted, None), "{text}");
+            let Answer { greeting, link, is_late } = read(text);
+            assert_eq!((greeting.is_some(), link, is_late), (is_greeted, None, false), "{text}");
         }
         // A machine that talks without end is cut off.
         let endless = std::io::repeat(b'x');
-        assert!(answer(endless, |_| {}).0.is_none());
+        assert!(answer(endless, Duration::from_secs(60), |_| {}).greeting.is_none());
+    }
+
+    #[test]
+    fn a_program_that_never_tells_its_version_is_not_waited_for() {
+        // Bytes that come, and then nothing: the writing end stays open.
+        let quiet = |text: &str| {
+            let (read, mut write) = std::io::pipe().unwrap();
+            write.write_all(text.as_bytes()).unwrap();
+            (read, write)
+        };
+        let (read, _open) = quiet("Welcome!\nisinglass-begun\n");
+        assert!(answer(read, Duration::from_millis(50), |_| {}).is_late);
+        // The control: a greeting that is there is read.
+        let (read, _open) = quiet("isinglass-begun\nisinglass-there|a||missing\nisinglass://h:1/#x\n");
+        let found = answer(read, Duration::from_millis(50), |_| {});
+        assert!(!found.is_late && found.greeting.is_some() && found.link.is_some());
+    }
+
+    #[test]
+    fn only_this_protocol_is_fit() {
+        let greeting = |program| Greeting { system: String::new(), address: None, program };
+        let version = |number| Program::Version(format!("isinglass 1 (protocol {number})"));
+        let own = isinglass_core::wire::PROTOCOL_VERSION;
+        assert!(greeting(version(own)).is_fit());
+        for other in [version(own + 1), Program::Missing, Program::Broken, Program::Version("x".into())] {
+            assert!(!greeting(other).is_fit());
+        }
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::{Buf, BufMut, Bytes, BytesMut};
@@ -21,7 +22,9 @@ pub(super) struct Streams(Mutex<HashMap<SocketAddr, Arc<Outgoing>>>);
 struct Outgoing {
     waiting: Mutex<Unwritten>,
     changed: Notify,
-    admitted: Notify,
+    /// Notified when the client is let in or refused.
+    decided: Notify,
+    is_viewer: AtomicBool,
 }
 
 #[derive(Debug, Default)]
@@ -114,8 +117,18 @@ impl StreamDoor {
 
     /// The viewer over this stream is let in.
     pub(crate) fn admit(&self, address: SocketAddr) {
+        self.decide(address, true);
+    }
+
+    /// The client over this stream is refused, and only has to hear it.
+    pub(crate) fn refuse(&self, address: SocketAddr) {
+        self.decide(address, false);
+    }
+
+    fn decide(&self, address: SocketAddr, is_viewer: bool) {
         if let Some(outgoing) = self.streams.get(address) {
-            outgoing.admitted.notify_one();
+            outgoing.is_viewer.store(is_viewer, Ordering::Relaxed);
+            outgoing.decided.notify_one();
         }
     }
 
@@ -134,10 +147,13 @@ pub(crate) struct StreamEnd {
 }
 
 impl StreamEnd {
-    /// Returns when the viewer over this stream is let in.
-    pub(crate) fn admitted(&self) -> impl Future<Output = ()> + use<> {
+    /// Returns when the client over this stream is let in or refused, and whether it is let in.
+    pub(crate) fn decided(&self) -> impl Future<Output = bool> + use<> {
         let outgoing = self.outgoing.clone();
-        async move { outgoing.admitted.notified().await }
+        async move {
+            outgoing.decided.notified().await;
+            outgoing.is_viewer.load(Ordering::Relaxed)
+        }
     }
 }
 

@@ -30,6 +30,10 @@ impl ModelClient {
         Self(shared)
     }
 
+    pub(crate) fn is_connected(&self) -> bool {
+        self.0.status.read().state == super::State::Connected
+    }
+
     pub(crate) fn now_micros(&self) -> u64 {
         self.0.clock.now_micros()
     }

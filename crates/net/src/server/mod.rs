@@ -27,7 +27,7 @@ use isinglass_core::wire::{
 };
 use quinn::congestion::ControllerFactory;
 use quinn::{Connection, Endpoint, EndpointConfig, Incoming, RecvStream, Runtime, SendStream, TokioRuntime};
-use tokio::sync::{Notify, mpsc};
+use tokio::sync::{Notify, Semaphore, mpsc};
 use tokio::task::AbortHandle;
 use tokio::time::Instant;
 use tracing::Instrument;
@@ -125,6 +125,8 @@ struct ServerShared {
     greeting: Mutex<Arc<Greeting>>,
     doors: Mutex<Doors>,
     pending: Arc<PendingHellos>,
+    /// Bounds the connections that are refused and still have to hear why.
+    farewells: Semaphore,
     known_paths: KnownPaths,
     strangers: StrangerLog,
     /// Connections that came to nothing.
@@ -196,6 +198,7 @@ impl Server {
             greeting: Mutex::new(greeting),
             doors: Mutex::default(),
             pending: Arc::default(),
+            farewells: Semaphore::new(MAX_FAREWELLS),
             known_paths: KnownPaths::default(),
             strangers: StrangerLog::default(),
             refusals: Arc::default(),
@@ -329,12 +332,13 @@ async fn accept_all(endpoint: Endpoint, shared: Arc<ServerShared>, sessions: mps
             };
             let admitted = tokio::select! {
                 admitted = admit(&shared, incoming) => admitted,
-                why = seat.is_given_up() => Err(why),
+                why = seat.is_given_up() => Err(Failure::Ended(why)),
             };
+            // Nobody waits for the seat of one that is refused and only has to hear it.
             drop(seat);
             match admitted {
                 Ok(admitted) => session::run(admitted, sessions).await,
-                Err(why) => shared.tell(remote, &why),
+                Err(failure) => shared.tell(remote, &failure.conclude(&shared).await),
             }
         };
         tokio::spawn(serving.instrument(connection_span(remote)));
@@ -350,7 +354,11 @@ async fn serve_stream(incoming: Incoming, shared: Arc<ServerShared>, sessions: m
             door.admit(remote);
             session::run(admitted, sessions).await;
         }
-        Err(why) => shared.tell(remote, &why),
+        Err(failure) => {
+            // This gives the seat back.
+            door.refuse(remote);
+            shared.tell(remote, &failure.conclude(&shared).await);
+        }
     }
     door.close(remote);
 }
@@ -384,8 +392,32 @@ impl Drop for Place {
     }
 }
 
+/// Why there is no viewer.
+enum Failure {
+    /// The connection has ended.
+    Ended(String),
+    /// Its client still has to hear why.
+    Refused(Connection, SendStream, Refusal),
+}
+
+impl From<String> for Failure {
+    fn from(why: String) -> Self {
+        Self::Ended(why)
+    }
+}
+
+impl Failure {
+    /// Ends the connection. Returns the reason.
+    async fn conclude(self, shared: &ServerShared) -> String {
+        match self {
+            Self::Ended(why) => why,
+            Self::Refused(connection, send, refusal) => refuse(shared, &connection, send, refusal).await,
+        }
+    }
+}
+
 /// From the first packet to the welcome, or why there is no viewer.
-async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitted, String> {
+async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitted, Failure> {
     let remote = incoming.remote_address();
     let gauge = Arc::<LinkGauge>::default();
     let greeted = async {
@@ -404,8 +436,8 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
     let (connection, mut guard, mut send, recv, hello) =
         match tokio::time::timeout(transport::AUTH_DEADLINE, greeted).await {
             Ok(Ok(greeted)) => greeted,
-            Ok(Err(e)) => return Err(e),
-            Err(_) => return Err(format!("no hello within {:?}", transport::AUTH_DEADLINE)),
+            Ok(Err(e)) => return Err(e.into()),
+            Err(_) => return Err(format!("no hello within {:?}", transport::AUTH_DEADLINE).into()),
         };
     let decision = match hello {
         Ok(ClientMessage::Hello { protocol, token, instance, name }) => {
@@ -413,16 +445,13 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
         }
         Ok(_) => Err(Refusal::Protocol("the first message is not a hello".into())),
         Err(ReceiveError::Control(e)) => Err(violation(&e)),
-        Err(e @ ReceiveError::Ended(_)) => return Err(e.to_string()),
+        Err(e @ ReceiveError::Ended(_)) => return Err(e.to_string().into()),
     };
     let ((viewer, session, welcome, greeting), name) = match decision {
         Ok(decision) => decision,
         Err(refusal) => {
             guard.0 = None;
-            if matches!(refusal, Refusal::UnknownToken | Refusal::TokenUsed) {
-                shared.pending.note_wrong_token(remote.ip(), Instant::now());
-            }
-            return Err(refuse(&connection, &mut send, refusal).await);
+            return Err(Failure::Refused(connection, send, refusal));
         }
     };
     let place = Place { shared: shared.clone(), viewer, session };
@@ -483,22 +512,35 @@ impl ServerShared {
     }
 }
 
-/// Tells a client why, and closes when it has heard or after a short time. Returns the reason.
-async fn refuse(connection: &Connection, send: &mut SendStream, refusal: Refusal) -> String {
-    let reason = refusal.to_string();
+/// Tells a client why, and closes when it has heard or after a short time. If many have to hear it, the close alone tells.
+/// Returns the reason.
+async fn refuse(
+    shared: &ServerShared,
+    connection: &Connection,
+    mut send: SendStream,
+    refusal: Refusal,
+) -> String {
+    let (reason, is_temporary) = (refusal.to_string(), refusal.is_temporary());
     let told = async {
-        if control_stream::send(send, &ServerMessage::Refused(refusal)).await.is_ok() {
+        if control_stream::send(&mut send, &ServerMessage::Refused(refusal)).await.is_ok() {
             let _ = send.finish();
             connection.closed().await;
         }
     };
-    // A client without room to receive never hears why.
-    let _ = tokio::time::timeout(REFUSAL_LINGER, told).await;
-    connection.close(transport::CLOSE_REFUSED, reason.as_bytes());
+    match shared.farewells.try_acquire() {
+        Ok(_held) => {
+            // A client without room to receive never hears why.
+            let _ = tokio::time::timeout(REFUSAL_LINGER, told).await;
+            connection.close(transport::CLOSE_REFUSED, reason.as_bytes());
+        }
+        // Whoever may come back must not take this for the last word.
+        Err(_) if is_temporary => connection.close(transport::CLOSE_SESSION, reason.as_bytes()),
+        Err(_) => connection.close(transport::CLOSE_REFUSED, reason.as_bytes()),
+    }
     format!("refused: {reason}")
 }
 
-const CROWDED: &str = "too many connections, or wrong tokens, at once";
+const CROWDED: &str = "too many connections at once";
 
 /// Closes a connection unless somebody takes it over.
 struct CloseUnlessKept(Option<Connection>);
@@ -513,5 +555,7 @@ impl Drop for CloseUnlessKept {
 
 /// Most sessions that wait for [`Server::accept`].
 const MAX_UNACCEPTED: usize = 16;
+/// Most refused clients at a time that have it.
+const MAX_FAREWELLS: usize = 64;
 /// Time for a refused client to read why.
 const REFUSAL_LINGER: Duration = Duration::from_secs(1);

@@ -1,7 +1,6 @@
-//! Connections before their hello. Their number is bounded, overall and per network. Without room, the one that has
-//! waited longest gives way.
+//! Connections before their hello. Their number is bounded. Without room, the network with the most of them gives one
+//! up, or the one that has waited longest does. Nobody is kept out for what others of its network did.
 
-use std::collections::VecDeque;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -20,8 +19,6 @@ pub(super) struct PendingHellos {
 struct Room {
     seats: Vec<Occupied>,
     next: u64,
-    /// The last wrong tokens: from where and when.
-    wrong: VecDeque<(IpAddr, Instant)>,
 }
 
 #[derive(Debug)]
@@ -42,37 +39,24 @@ pub(super) struct Seat {
 }
 
 impl PendingHellos {
-    /// A seat for a connection from an address. Who shows many wrong tokens gets none for a while. Without a free seat,
-    /// the oldest connection of the same network gives way, or the oldest of all if the room is full. It must have had
-    /// the time that a hello takes. `None` if all are too young.
+    /// A seat for a connection from an address. Without a free seat, the network with the most seats gives up its oldest
+    /// one, if it has more than its share. Otherwise the oldest of all gives way, once it has had the time that a hello
+    /// takes. `None` if all are too young.
     pub(super) fn enter(self: &Arc<Self>, from: IpAddr, now: Instant) -> Option<Seat> {
         let from = place_of(from);
         let mut room = self.room();
-        if room.is_guessing(from, now) {
-            return None;
-        }
-        let is_of_place = |seat: &Occupied| seat.from == from;
-        let num_of_place = room.seats.iter().filter(|seat| is_of_place(seat)).count();
-        let is_crowded = num_of_place >= MAX_OF_PLACE && !from.is_loopback();
-        if is_crowded || room.seats.len() >= MAX_PENDING {
-            let first = room.seats.iter().position(|seat| !is_crowded || is_of_place(seat));
-            let tired = first.filter(|&i| now.duration_since(room.seats[i].since) >= PATIENCE);
-            room.seats.remove(tired?);
+        if room.seats.len() >= MAX_PENDING {
+            let leaves = room.oldest_of_a_crowd().or_else(|| {
+                let oldest = room.seats.first()?;
+                (now.duration_since(oldest.since) >= PATIENCE).then_some(0)
+            });
+            room.seats.remove(leaves?);
         }
         let (sender, stays) = oneshot::channel();
         let number = room.next;
         room.next += 1;
         room.seats.push(Occupied { number, from, since: now, _stays: sender });
         Some(Seat { pending: self.clone(), number, stays })
-    }
-
-    /// A connection from an address has shown a token that admits nobody.
-    pub(super) fn note_wrong_token(&self, from: IpAddr, now: Instant) {
-        let mut room = self.room();
-        if room.wrong.len() == MAX_WRONG {
-            room.wrong.pop_front();
-        }
-        room.wrong.push_back((place_of(from), now));
     }
 
     fn room(&self) -> MutexGuard<'_, Room> {
@@ -82,13 +66,11 @@ impl PendingHellos {
 }
 
 impl Room {
-    /// Whether this place has shown too many wrong tokens lately. On this machine, many come through one tunnel.
-    fn is_guessing(&self, from: IpAddr, now: Instant) -> bool {
-        let is_recent = |(place, at): &&(IpAddr, Instant)| {
-            *place == from && now.saturating_duration_since(*at) < GUESSING_PERIOD
-        };
-        let most = if from.is_loopback() { 10 * MAX_GUESSES } else { MAX_GUESSES };
-        self.wrong.iter().filter(is_recent).count() >= most
+    /// The oldest seat of the network with the most, if it has more than its share. Seats are in the order of their age.
+    fn oldest_of_a_crowd(&self) -> Option<usize> {
+        let num_of = |place: IpAddr| self.seats.iter().filter(|seat| seat.from == place).count();
+        let most = self.seats.iter().map(|seat| num_of(seat.from)).max().filter(|most| *most > SHARE)?;
+        self.seats.iter().position(|seat| num_of(seat.from) == most)
     }
 }
 
@@ -126,15 +108,11 @@ pub(super) fn place_of(address: IpAddr) -> IpAddr {
 
 /// Most connections in handshake or before their hello.
 pub(super) const MAX_PENDING: usize = 64;
-/// Most of these from one network: eight viewers behind one office address may connect in the same second.
-const MAX_OF_PLACE: usize = 8;
-/// Time in which nobody gives way: a hello follows a round trip after the handshake, which takes two.
+/// Seats that one network keeps while others want them: eight viewers behind one office address may connect in the same
+/// second.
+const SHARE: usize = 8;
+/// Time in which nobody gives way within its share: a hello follows a round trip after the handshake, which takes two.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Most wrong tokens of one place in a period.
-const MAX_GUESSES: usize = 10;
-const GUESSING_PERIOD: Duration = Duration::from_secs(30);
-/// Wrong tokens that are remembered.
-const MAX_WRONG: usize = 1024;
 
 #[cfg(test)]
 mod tests {
@@ -167,40 +145,21 @@ mod tests {
     }
 
     #[test]
-    fn one_place_has_few_seats_and_others_keep_theirs() {
+    fn a_crowd_of_one_place_gives_way_at_once_and_others_keep_their_seats() {
         let (room, start) = (Arc::new(PendingHellos::default()), Instant::now());
         let mut other = room.enter(four(1), start).unwrap();
         let of_net = |i: u128| IpAddr::from(Ipv6Addr::from_bits((0x2001_0db8 << 96) + i));
-        let mut seats: Vec<_> =
-            (0..MAX_OF_PLACE).map(|i| room.enter(of_net(i as u128), start).unwrap()).collect();
-        assert!(room.enter(of_net(77), start).is_none());
-        assert!(room.enter(of_net(1 << 64), start).is_some(), "another network");
-        let _guest = room.enter(of_net(77), start + PATIENCE).unwrap();
-        assert!(is_lost(&mut seats[0]) && !is_lost(&mut seats[1]) && !is_lost(&mut other));
-        // Whoever comes through a tunnel is of this machine, like everybody else there.
-        let local: Vec<_> = (0..2 * MAX_OF_PLACE).map(|_| room.enter([127, 0, 0, 1].into(), start)).collect();
-        assert!(local.iter().all(Option::is_some));
-    }
-
-    #[test]
-    fn who_guesses_tokens_waits_and_others_do_not() {
-        let (room, start) = (Arc::new(PendingHellos::default()), Instant::now());
-        let later = start + GUESSING_PERIOD;
-        for _ in 0..MAX_GUESSES {
-            assert!(room.enter(four(1), start).is_some());
-            room.note_wrong_token(four(1), start);
-        }
-        assert!(room.enter(four(1), start).is_none() && room.enter(four(2), start).is_some());
-        assert!(room.enter(four(1), later).is_some(), "it may try again");
-        // Others on this machine come through the same tunnel, so there the limit is higher, but there is one.
-        let local = IpAddr::from([127, 0, 0, 1]);
-        let num = (0..1000).take_while(|_| {
-            room.note_wrong_token(local, start);
-            room.enter(local, start).is_some()
-        });
-        assert_eq!(num.count(), 10 * MAX_GUESSES - 1);
-        // What is remembered is bounded.
-        (0..5000).for_each(|i| room.note_wrong_token(four(i), start));
-        assert_eq!(room.room().wrong.len(), MAX_WRONG);
+        let mut crowd: Vec<_> =
+            (1..MAX_PENDING).map(|i| room.enter(of_net(i as u128), start).unwrap()).collect();
+        // Of the same place or another one, whoever comes has a seat, and the oldest of the crowd has none.
+        let mut guests = [of_net(77), of_net(1 << 64), four(2)].map(|from| room.enter(from, start).unwrap());
+        assert!(crowd[..3].iter_mut().all(is_lost) && !is_lost(&mut crowd[3]) && !is_lost(&mut other));
+        assert!(guests.iter_mut().all(|seat| !is_lost(seat)));
+        assert_eq!(room.room().seats.len(), MAX_PENDING);
+        // The control: places with no more than their share keep it for a while.
+        let (room, places) = (Arc::new(PendingHellos::default()), MAX_PENDING / SHARE);
+        let _full: Vec<_> = (0..MAX_PENDING).map(|i| room.enter(four(i % places), start).unwrap()).collect();
+        assert!(room.enter(four(0), start).is_none() && room.enter(four(999), start).is_none());
+        assert!(room.enter(four(999), start + PATIENCE).is_some());
     }
 }

@@ -10,7 +10,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::time::{Instant, timeout};
 use tokio_rustls::TlsAcceptor;
 
-use super::{CROWDED, ServerShared};
+use super::{CROWDED, REFUSAL_LINGER, ServerShared};
 use crate::carrier::{StreamDoor, carry, stream_address};
 use crate::transport::AUTH_DEADLINE;
 
@@ -76,14 +76,19 @@ async fn serve(
         why = seat.is_given_up() => return shared.tell(peer, &why),
     };
     let end = door.add(address);
-    let admitted = end.admitted();
+    let decided = end.decided();
     let mut carrying = pin!(carry(stream, end));
-    tokio::select! {
+    let is_viewer = tokio::select! {
         _ = &mut carrying => return,
         why = seat.is_given_up() => return shared.tell(peer, &why),
-        () = admitted => {}
-    }
+        is_viewer = decided => is_viewer,
+    };
     drop(seat);
+    if !is_viewer {
+        // Whoever does not read the refusal keeps no stream open.
+        let _ = timeout(2 * REFUSAL_LINGER, carrying).await;
+        return;
+    }
     if let Err(e) = carrying.await {
         tracing::debug!(%peer, "a stream broke: {e}");
     }

@@ -1,5 +1,6 @@
 //! Many viewers on one server, and a peer that means harm.
 
+use isinglass_core::wire::Token;
 use isinglass_core::wire::control::{self, hello};
 use quinn::SendStream;
 use rand::rngs::Xoshiro256PlusPlus;
@@ -168,4 +169,49 @@ fn a_peer_that_means_harm_costs_the_others_few_frames() {
     let flooded = frames_beside(Harm::Flood);
     println!("Flood: {flooded:.0} of {alone:.0} frames/s");
     assert!(flooded < 0.9 * alone, "{flooded} of {alone}");
+}
+
+/// One guess: a connection from `address` with a token that admits nobody. Returns when it was refused.
+async fn guess(network: Network, link: Link, address: SocketAddr, seed: u64) {
+    let socket = network.socket(address);
+    let endpoint = Endpoint::new_with_abstract_socket(seeded(seed), None, socket, Arc::new(TokioRuntime));
+    let endpoint = endpoint.expect("a socket");
+    let config = quic_client(pinned_tls(link.fingerprint).expect("TLS").0).expect("TLS");
+    let connecting = endpoint.connect_with(config, server_address(), SERVER_NAME).expect("an address");
+    let Ok(connection) = connecting.await else { return };
+    let Ok((mut send, _receive)) = connection.open_bi().await else { return };
+    let hello = hello(Token::new([9; 16]), link.token, "x");
+    let _ = send.write_all(&control::encode(&hello).expect("a hello")).await;
+    connection.closed().await;
+}
+
+/// The time until a viewer is let in while `num` connections of its own address guess tokens at once; `None` if it is not.
+fn time_beside_guesses(num: u16, has_token: bool) -> Option<Duration> {
+    in_virtual_time(async move {
+        let mut world = World::new(&link_model(50.0, 40, 0.0), None);
+        let links = world.serve(1, Renderer::default());
+        for number in 0..num {
+            let address = SocketAddr::new(viewer_address(0).ip(), 20_000 + number);
+            tokio::spawn(guess(world.network.clone(), links[0].clone(), address, 900 + u64::from(number)));
+        }
+        // The guesses are on their way, and none is decided.
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        let begun = Instant::now();
+        let token = if has_token { links[0].token.clone() } else { Token::new([8; 16]) };
+        let client = world.viewer(&Link { token, ..links[0].clone() });
+        while !client.is_connected() && begun.elapsed() < 20 * SECOND {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        client.is_connected().then(|| begun.elapsed())
+    })
+}
+
+#[test]
+fn wrong_tokens_do_not_make_a_viewer_of_the_same_address_wait() {
+    let alone = time_beside_guesses(0, true).expect("a viewer alone");
+    let beside = time_beside_guesses(200, true).expect("a viewer beside guesses");
+    println!("{alone:?} alone, {beside:?} beside 200 guesses");
+    assert!(beside < alone + SECOND / 2, "{beside:?} and {alone:?} alone");
+    // The control: it needs its token.
+    assert_eq!(time_beside_guesses(0, false), None);
 }

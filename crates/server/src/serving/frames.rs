@@ -154,7 +154,7 @@ impl Viewer {
         let (Some(mut asked), Some(generated)) = (asked, generated) else { return false };
         let frame = asked.header.frame;
         match generated {
-            Ok(generated) => {
+            Ok(mut generated) => {
                 self.frames.handle_generated(generated.generate_micros);
                 // To keep to its memory, it may be smaller.
                 let FrameHeader { camera, fineness, .. } = *generated.frame.header();
@@ -164,7 +164,7 @@ impl Viewer {
                     self.occlusion = Some(occlusion.clone());
                 }
                 let (now, version) = (self.now_micros(), asked.header.look);
-                self.note_pages(now, &generated);
+                self.note_pages(now, &mut generated);
                 if version == self.session.control.talk().quietly().look.version() {
                     let look = self.session.control.talk().quietly().look.look().clone();
                     self.sizes.note_frame(&look, &generated);

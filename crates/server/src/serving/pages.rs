@@ -20,8 +20,9 @@ pub(super) struct ShownPages {
 
 impl Viewer {
     /// A frame was made of these pages.
-    pub(super) fn note_pages(&mut self, now: u64, generated: &Generated) {
-        let Some(pages) = &generated.pages else { return };
+    pub(super) fn note_pages(&mut self, now: u64, generated: &mut Generated) {
+        // A frame on its way keeps no page in memory.
+        let Some(pages) = generated.pages.take() else { return };
         let is_draft = pages.fineness() == Fineness::Draft;
         self.session.talk().pages.handle_progress(pages.part.progress);
         let (version, took) = (pages.part.version, generated.generate_micros);

@@ -48,6 +48,15 @@ impl Stage {
         path
     }
 
+    /// Waits for the question whether another machine may be called, and presses a button.
+    fn answer(&mut self, button: &str) {
+        until(&mut self.window, button, |w| w.query_by_label(button).is_some());
+        assert!(self.has("Whoever wrote the state chose it") && self.window.state().opening.is_none());
+        self.window.get_by_label(button).click();
+        self.window.run_steps(3);
+        assert!(!self.has("Whoever wrote the state chose it"));
+    }
+
     /// Whether the picture is as the state says.
     fn is_seen_as(&self, state: &SavedState) -> bool {
         let seen = self.window.state().app.seen();
@@ -130,6 +139,7 @@ fn a_state_whose_volume_is_a_link_connects_to_it() {
     let state = state(Some(&links[0].to_string()));
     let path = stage.write("seen.toml", &state);
     stage.drop_file(path);
+    stage.answer(&format!("Call {}", links[0].place()));
     until(&mut stage.window, "the server", is_shown);
     stage.window.run_steps(3);
     // What the server shows is another volume, which is said; where a camera may be there is for the controls to say.
@@ -137,6 +147,48 @@ fn a_state_whose_volume_is_a_link_connects_to_it() {
     let notice = stage.window.state().app.notice();
     assert!(notice.contains("the state was made of") && notice.contains("16×16×16"), "{notice}");
     assert!(stage.servers.started.lock().unwrap().is_empty());
+}
+
+#[test]
+fn a_state_calls_no_stranger_before_the_person_says_so() {
+    use std::io::ErrorKind;
+    let token = format!("token={}&cert=sha256:{}", "1".repeat(32), "2".repeat(64));
+    let udp = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let tcp = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    udp.set_nonblocking(true).unwrap();
+    tcp.set_nonblocking(true).unwrap();
+    let [server, web] = [udp.local_addr().unwrap(), tcp.local_addr().unwrap()];
+    let is_called = || {
+        let is_silent = |e: std::io::Error| assert_eq!(e.kind(), ErrorKind::WouldBlock);
+        udp.recv(&mut [0; 2000]).map_err(is_silent).is_ok() || tcp.accept().map_err(is_silent).is_ok()
+    };
+    let sources = [
+        (format!("isinglass://{server}/#{token}"), None, server),
+        (format!("http://{web}/a.zarr"), None, web),
+        ("film.nrrd".into(), Some(format!("http://{web}/labels.zarr")), web),
+    ];
+    for (source, labels, host) in sources {
+        let mut stage = Stage::new(Servers::default(), |_| Recent::default());
+        let mut state = state(Some(&source));
+        state.volume.as_mut().unwrap().labels = labels;
+        let path = stage.write("seen.toml", &state);
+        for button in ["Cancel", &format!("Call {host}")] {
+            assert!(!is_called(), "{source}");
+            stage.drop_file(path.clone());
+            stage.answer(button);
+            assert_eq!(stage.window.state().opening.is_some(), button != "Cancel", "{source}");
+            if button == "Cancel" {
+                // Long enough for a packet on loopback.
+                std::thread::sleep(Duration::from_millis(200));
+                stage.window.run_steps(3);
+            }
+        }
+        // The control: it is called then.
+        until(&mut stage.window, "a call", |_| is_called());
+        drop(stage);
+        std::thread::sleep(Duration::from_millis(300));
+        while is_called() {}
+    }
 }
 
 #[test]

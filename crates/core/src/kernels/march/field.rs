@@ -4,10 +4,10 @@ use glam::Vec3;
 
 use super::grid::{Grid, GridShape, Texels, TexelsOf};
 use super::mixed::AnyGrid;
-use super::pages::PageLook;
+use super::pages::{PageCell, PageLook};
 use super::{Lattice, Scene};
 use crate::kernels::march::glossy::VoxelRay;
-use crate::volume::{BRICK, Bricks, Lit, Occupancy, PAGE_CELLS, PAGE_POINTS, Page, PageId, PageSet, Volume};
+use crate::volume::{BRICK, Bricks, Lit, Occupancy, PAGE_CELLS, Page, PageSet, Volume};
 
 /// The texels of one grid.
 pub(super) struct MarchField<'a, T> {
@@ -25,8 +25,6 @@ pub(super) struct MarchField<'a, T> {
     pub(super) steepness: Vec3,
     /// From the voxel space of the scene to that of the texels: a factor and an offset.
     place: (Vec3, Vec3),
-    /// The faces of a page in the scene's voxel space.
-    faces: (Vec3, Vec3),
     /// The level of a page.
     level: u8,
     /// Whether anything of it may be seen.
@@ -60,12 +58,12 @@ impl<'a, T: TexelsOf<'a>> MarchField<'a, T> {
         }
     }
 
-    /// A page.
+    /// A page, or a level that is held whole.
     pub(super) fn page(scene: &'a Scene, set: &'a PageSet, page: &'a Page, look: &'a PageLook) -> Self {
         let volume = scene.first_of_page(page);
         let level = set.pyramid().level(page.id);
         let first = set.pyramid().first_point(page.id);
-        let shape = GridShape::part([PAGE_POINTS; 3], first, level.dims);
+        let shape = GridShape::part(volume.dims(), first, level.dims);
         let start = Vec3::from_array(first.map(|i| i as f32));
         let field = Self::new(
             scene,
@@ -77,7 +75,6 @@ impl<'a, T: TexelsOf<'a>> MarchField<'a, T> {
         );
         Self {
             place: level.place(),
-            faces: set.pyramid().faces(page.id),
             level: page.id.level,
             is_visible: look.is_visible,
             channels: scene
@@ -107,7 +104,6 @@ impl<'a, T: TexelsOf<'a>> MarchField<'a, T> {
             max_brick: Vec3::from_array(occupancy.dims.map(|n| n as f32 - 1.0)),
             steepness: volume.steepness(),
             place: (Vec3::ONE, Vec3::ZERO),
-            faces: (Vec3::NEG_INFINITY, Vec3::INFINITY),
             level: 0,
             is_visible: true,
         }
@@ -129,7 +125,7 @@ pub(super) struct Fields<'a, T> {
     whole: MarchField<'a, T>,
     /// The pages, in the order of their set.
     pages: Vec<MarchField<'a, T>>,
-    set: Option<(&'a PageSet, &'a [u32])>,
+    set: Option<(&'a PageSet, &'a [PageCell])>,
     /// Greatest index of the finest level along x, y, z.
     last: Vec3,
 }
@@ -167,10 +163,10 @@ impl<'a, T: Texels> Fields<'a, T> {
             // A step belongs to the page of its middle, so both ends are at most half a step outside.
             let half = 0.5 * stride as f32;
             let at = self.cell(set, ray, lattice, *i as f32 + half);
-            // NOTHING has the size of a page of the finest level.
-            let field = self.pages.get(table[set.cell(at)] as usize);
-            let faces =
-                field.map_or_else(|| set.pyramid().faces(PageId { level: 0, at }), |field| field.faces);
+            let PageCell { slot, block } = table[set.cell(at)];
+            let field = self.pages.get(slot as usize);
+            // Finer pages may stand for other parts of the same page.
+            let faces = set.pyramid().faces(set.pyramid().page_over(at, block));
             let leaves = Vec3::select(ray.dir.cmpgt(Vec3::ZERO), faces.1, faces.0);
             let exit = ((leaves - ray.origin) * ray.dir.recip()).min_element();
             let end = ((exit - lattice.s0) / lattice.h - half).ceil();
@@ -185,7 +181,7 @@ impl<'a, T: Texels> Fields<'a, T> {
             };
             let level_at = |place: f32| {
                 let cell = set.cell(self.cell(set, ray, lattice, place));
-                self.pages.get(table[cell] as usize).map_or(0, |field| field.level)
+                self.pages.get(table[cell].slot as usize).map_or(0, |field| field.level)
             };
             let is_same = end >= n || level_at(end as f32 + half) == field.level;
             return Some((field, Run { end, limit: if is_same { n } else { end }, pace }));

@@ -137,9 +137,7 @@ pub(super) struct GridShape {
 impl GridShape {
     /// The texels in memory of a grid: `dims` of them from `first` on. Beyond them the nearest repeats.
     pub(super) fn held(dims: [u32; 3], first: [u32; 3]) -> Self {
-        let count = dims.iter().map(|&d| u64::from(d)).product::<u64>();
-        let has_lanes = count <= u64::from(u32::MAX) && dims.iter().all(|&d| d > 1);
-        Self::new(dims, first, std::array::from_fn(|i| first[i] + dims[i] - 1), has_lanes)
+        Self::new(dims, first, std::array::from_fn(|i| first[i] + dims[i] - 1))
     }
 
     /// The index of the texel at coordinates inside, if it has 32 bits.
@@ -152,11 +150,13 @@ impl GridShape {
     /// The part of a grid of `dims` that begins at `first` and has `side` texels along each axis. Beyond the grid its
     /// last texels repeat.
     pub(super) fn part(side: [u32; 3], first: [u32; 3], dims: [u32; 3]) -> Self {
-        Self::new(side, first, std::array::from_fn(|i| (first[i] + side[i]).min(dims[i]) - 1), true)
+        Self::new(side, first, std::array::from_fn(|i| (first[i] + side[i]).min(dims[i]) - 1))
     }
 
     /// Texels in memory, `side` of them along each axis, of which those at coordinates `first` to `last` count.
-    fn new(side: [u32; 3], first: [u32; 3], last: [u32; 3], has_lanes: bool) -> Self {
+    fn new(side: [u32; 3], first: [u32; 3], last: [u32; 3]) -> Self {
+        let count = side.iter().map(|&d| u64::from(d)).product::<u64>();
+        let has_lanes = count <= u64::from(u32::MAX) && side.iter().all(|&d| d > 1);
         let strides = [1, side[0], side[0] * side[1]];
         Self {
             strides,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::{Scene, modes};
+use super::{MarchedChannel, Scene, modes};
 use crate::transfer::TransferTable;
 use crate::volume::{
     Bricks, Detail, Lit, Occupancy, Page, PageId, PageRanges, PageSet, Pyramid, PyramidLevel, Volume,
@@ -19,10 +19,19 @@ pub struct ScenePages {
     pub set: Arc<PageSet>,
     /// What the look makes of each page, in the order of the set.
     pub looks: Vec<Arc<PageLook>>,
-    /// For each page of the finest level, x fastest, the place in the set of the one that stands for it, or [`NOTHING`].
-    pub table: Arc<[u32]>,
+    /// What stands for each page of the finest level, x fastest.
+    pub table: Arc<[PageCell]>,
     /// The pages of which anything may be seen, if values are known.
     seen: Option<Arc<SeenPages>>,
+}
+
+/// What stands for a page of the finest level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PageCell {
+    /// The place of a page in the set, or [`NOTHING`].
+    pub slot: u32,
+    /// The coarsest level whose page around this one has that slot everywhere. A ray marches such a block at once.
+    pub block: u8,
 }
 
 /// Marks a page of the finest level in which the look shows nothing. No coarser page is shown in its place.
@@ -80,6 +89,22 @@ impl Scene {
         Self { pages: None, ..self.clone() }
     }
 
+    /// The same picture without pages, if one level is held whole in their place.
+    pub fn of_level(&self) -> Option<Self> {
+        let ScenePages { set, looks, .. } = self.pages.as_ref()?;
+        let (level, look) = (set.level()?, looks.first()?);
+        let volume = |channel: usize| level.channel(channel).clone();
+        let others = self.others.iter().cloned();
+        Some(Self {
+            volume: volume(self.first_channel),
+            others: others.map(|other| MarchedChannel { volume: volume(other.channel), ..other }).collect(),
+            occupancy: look.occupancy.clone(),
+            illumination: self.illumination.with_lit(look.lit.clone()),
+            pages: None,
+            ..self.clone()
+        })
+    }
+
     /// The pages under this scene's look. In a draft, pages keep the brightness that they have in `before`.
     pub(super) fn look_at(&self, set: Arc<PageSet>, before: Option<&Self>) -> ScenePages {
         let with_pages = before.and_then(|before| Some((before, before.pages.as_ref()?)));
@@ -114,7 +139,8 @@ impl Scene {
             Some((known, _)) => known.occupancy.clone(),
             None => self.occupancy_of(page),
         };
-        let is_visible = !page.is_nothing && occupancy.words.iter().any(|word| has_zero_byte(*word));
+        let is_nothing = page.are_nothing[self.first_channel];
+        let is_visible = !is_nothing && occupancy.words.iter().any(|word| has_zero_byte(*word));
         let known = known.map(|(known, _)| known).filter(|known| known.lit.is_some());
         let (lit, lit_for) = match known {
             _ if own.is_none() => (None, None),
@@ -163,7 +189,7 @@ impl Scene {
 
     /// The voxels in a page of all channels that are mixed, in their order.
     pub(super) fn channels_of_page<'a>(&'a self, page: &'a Page) -> impl Iterator<Item = &'a Volume> {
-        self.marched_channels().filter(|_| self.is_mixed()).map(|channel| page.channel(channel))
+        self.marched_channels().filter(|_| self.is_mixed()).map(|channel| &**page.channel(channel))
     }
 
     /// The channels that are marched, the first one first.
@@ -202,7 +228,7 @@ impl Scene {
         if !self.is_mixed() {
             return self.illumination.of_page(self.first_of_page(page), &self.table);
         }
-        let all: Vec<_> = self.tables().map(|(i, table)| (page.channel(i), table)).collect();
+        let all: Vec<_> = self.tables().map(|(i, table)| (&**page.channel(i), table)).collect();
         let opacities = opacity_volume(&all, self.blend)?;
         self.illumination.of_page(&opacities, &opacity_table(&opacities))
     }
@@ -250,23 +276,66 @@ impl SeenPages {
     }
 }
 
-/// The table of a set, with [`NOTHING`] where the look shows nothing: a coarser page would blur neighbouring matter into
-/// it. Next to pages that are still coarse it stays, or their matter would be cut off at a face.
-fn table_of(set: &PageSet, seen: Option<&SeenPages>) -> Arc<[u32]> {
-    let Some(seen) = seen else { return set.table().into() };
+/// What stands for each page of the finest level.
+fn table_of(set: &PageSet, seen: Option<&SeenPages>) -> Arc<[PageCell]> {
+    let slots = match seen {
+        Some(seen) => seen_slots(set, seen),
+        None => set.table().to_vec(),
+    };
+    let blocks = blocks_of(set, &slots);
+    slots.into_iter().zip(blocks).map(|(slot, block)| PageCell { slot, block }).collect()
+}
+
+/// The slots of a set, with [`NOTHING`] where the look shows nothing: a coarser page would blur neighbouring matter into
+/// it. Beside pages that are still coarse, one that is no coarser stays: their matter would be cut off at a face.
+fn seen_slots(set: &PageSet, seen: &SeenPages) -> Vec<u32> {
     let cells = || places(set.grid()).map(|at| PageId { level: 0, at });
-    let mut near: Vec<bool> = cells().zip(set.rough()).map(|(id, rough)| *rough && seen.sees(id)).collect();
+    let level_of = |slot: u32| set.pages()[slot as usize].id.level;
+    let rough = cells().zip(set.rough()).zip(set.table());
+    let level_of_rough = |((id, rough), slot): ((PageId, &bool), &u32)| match *rough && seen.sees(id) {
+        true => level_of(*slot),
+        false => 0,
+    };
+    let mut near: Vec<u8> = rough.map(level_of_rough).collect();
     for axis in 0..3 {
-        let is_rough = |at: &[u32; 3], step: i64| {
-            let mut beside = *at;
-            let moved = i64::from(at[axis]) + step;
-            beside[axis] = u32::try_from(moved).ok().filter(|n| *n < set.grid()[axis])?;
+        let beside = |at: [u32; 3], step: i64| {
+            let moved = u32::try_from(i64::from(at[axis]) + step).ok().filter(|n| *n < set.grid()[axis])?;
+            let mut beside = at;
+            beside[axis] = moved;
             Some(near[set.cell(beside)])
         };
-        near = cells().map(|id| (-1..=1).any(|step| is_rough(&id.at, step) == Some(true))).collect();
+        near = cells().map(|id| (-1..=1).filter_map(|step| beside(id.at, step)).max().unwrap_or(0)).collect();
     }
     let stands = cells().zip(&near).zip(set.table());
-    stands.map(|((id, near), slot)| if *near || seen.sees(id) { *slot } else { NOTHING }).collect()
+    let slot = |((id, near), slot): ((PageId, &u8), &u32)| match seen.sees(id) || level_of(*slot) <= *near {
+        true => *slot,
+        false => NOTHING,
+    };
+    stands.map(slot).collect()
+}
+
+/// See [`PageCell::block`].
+fn blocks_of(set: &PageSet, slots: &[u32]) -> Vec<u8> {
+    let (pyramid, grid) = (set.pyramid(), set.grid());
+    let mut blocks = vec![0; slots.len()];
+    for (level, PyramidLevel { factor, .. }) in pyramid.levels.iter().enumerate().skip(1) {
+        let pages = pyramid.pages(level);
+        let index = |[x, y, z]: [u32; 3]| ((z * pages[1] + y) * pages[0] + x) as usize;
+        let page = |at: [u32; 3]| index(std::array::from_fn(|i| (at[i] / factor[i]).min(pages[i] - 1)));
+        // The slot of each page of the level, as long as it has one alone.
+        let mut alone: Vec<Option<Option<u32>>> = vec![None; pages.iter().map(|n| *n as usize).product()];
+        for (at, slot) in places(grid).zip(slots) {
+            let known = &mut alone[page(at)];
+            *known = Some(known.map_or(Some(*slot), |known| known.filter(|known| known == slot)));
+        }
+        if !alone.iter().any(|known| matches!(known, Some(Some(_)))) {
+            break;
+        }
+        let is_alone = |at| matches!(alone[page(at)], Some(Some(_)));
+        let marked = places(grid).zip(&mut blocks).filter(|(at, _)| is_alone(*at));
+        marked.for_each(|(_, block)| *block = level as u8);
+    }
+    blocks
 }
 
 fn places([nx, ny, nz]: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {

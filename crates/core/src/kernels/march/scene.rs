@@ -18,8 +18,8 @@ use crate::volume::{
 
 /// A volume that is ready to be marched, with bricks and a tabulated transfer function.
 ///
-/// Of a volume with several channels, a projection and surfaces show the chosen one. Otherwise all visible channels are
-/// marched together: the first of them is `volume`, and `others` follow.
+/// Of a volume with several channels, a projection and surfaces show the chosen one, unless it has labels. Otherwise all
+/// visible channels are marched together: the first of them is `volume`, and `others` follow.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// The voxels.
@@ -139,6 +139,11 @@ impl Scene {
         settings: MarchSettings,
         before: Option<(&Self, Option<&Occlusion>)>,
     ) -> Self {
+        // Labels are names, of which none is the greatest, the mean or passed by a surface.
+        let chosen = usize::from(looks.chosen).min(channels.len() - 1);
+        let are_labels = channels[chosen].volume.info.are_labels;
+        let mode = if are_labels { Mode::Composite } else { settings.mode };
+        let settings = MarchSettings { mode, ..settings };
         let transfer_of = |channel: usize| match channel.checked_sub(1) {
             None => transfer,
             Some(other) => looks.others.get(other).map_or(transfer, |look| &look.transfer),
