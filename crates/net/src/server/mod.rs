@@ -411,7 +411,9 @@ impl Failure {
     async fn conclude(self, shared: &ServerShared) -> String {
         match self {
             Self::Ended(why) => why,
-            Self::Refused(connection, send, refusal) => refuse(shared, &connection, send, refusal).await,
+            Self::Refused(connection, mut send, refusal) => {
+                refuse(shared, &connection, &mut send, refusal).await
+            }
         }
     }
 }
@@ -517,12 +519,12 @@ impl ServerShared {
 async fn refuse(
     shared: &ServerShared,
     connection: &Connection,
-    mut send: SendStream,
+    send: &mut SendStream,
     refusal: Refusal,
 ) -> String {
     let (reason, is_temporary) = (refusal.to_string(), refusal.is_temporary());
     let told = async {
-        if control_stream::send(&mut send, &ServerMessage::Refused(refusal)).await.is_ok() {
+        if control_stream::send(send, &ServerMessage::Refused(refusal)).await.is_ok() {
             let _ = send.finish();
             connection.closed().await;
         }

@@ -157,7 +157,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
     };
     // An unsent session must live on: dropping it would close the connection.
     if let Err(_unsent) = sessions.try_send(session) {
-        let why = refuse(&connection, &mut send, Refusal::Full(max_viewers)).await;
+        let why = refuse(&place.shared, &connection, &mut send, Refusal::Full(max_viewers)).await;
         return place.shared.tell(remote, &why);
     }
     let serving = async {
@@ -168,7 +168,7 @@ pub(super) async fn run(admitted: Admitted, sessions: mpsc::Sender<Session>) {
             () = watch_silence(&connection) => None,
         };
         if let Some(refusal) = violated {
-            let why = refuse(&connection, &mut send, refusal).await;
+            let why = refuse(&place.shared, &connection, &mut send, refusal).await;
             tracing::warn!("{why}");
         }
         // When any of these ends, the rest ends with it. A closed connection keeps its own reason.
