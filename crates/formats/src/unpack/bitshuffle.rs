@@ -84,7 +84,7 @@ mod tests {
 
     /// 37 numbers: two blocks of 16, and five that stay.
     fn numbers() -> Vec<u8> {
-        (0..74u32).map(|i| (i * i * 37 >> 3) as u8).collect()
+        (0..74u32).map(|i| ((i * i * 37) >> 3) as u8).collect()
     }
 
     fn packed(pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
