@@ -75,6 +75,11 @@ impl ChunkGrid<'_> {
         axes.map(|(steps, (s, n))| steps.within(*s..s.saturating_add(*n))).collect()
     }
 
+    /// The ranges that hold all selected numbers, along each axis.
+    pub(crate) fn ranges(&self) -> Vec<Range<u64>> {
+        self.selected.iter().map(|steps| steps.range.clone()).collect()
+    }
+
     /// How many selected numbers are in the chunk at `start`.
     pub(crate) fn num_within(&self, start: &[u64]) -> u64 {
         self.within(start).iter().map(|r| r.end.saturating_sub(r.start)).product()

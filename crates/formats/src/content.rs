@@ -71,7 +71,7 @@ fn of_start(start: &[u8], path: &Path) -> Content {
         FileKind::Vti => Content::Volume("VTI"),
         FileKind::Vtk => Content::Volume("VTK"),
         FileKind::Mgh => Content::Volume("MGH"),
-        FileKind::Hdf5 => Content::Volume("HDF5"),
+        FileKind::Hdf5 | FileKind::BigDataViewer => Content::Volume("HDF5"),
         FileKind::Netcdf => Content::Volume("NetCDF"),
         FileKind::Png => Content::Other("a PNG picture"),
         FileKind::Other("an XML document of another kind") => Content::Text,

@@ -364,7 +364,7 @@ mod tests {
             let volume = Volume::new(dims, Vec3::ONE, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
             let histogram = Histogram::of(&volume);
             assert!(preset(default_preset("file", &volume, &histogram)).is_some());
-            assert_eq!(default_transfer("file", &volume, &histogram).validate(), Ok(()));
+            assert_eq!(crate::default_transfer("file", &volume, &histogram).validate(), Ok(()));
         }
     }
 }

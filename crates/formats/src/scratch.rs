@@ -97,6 +97,8 @@ impl Drop for ScratchFolder {
 fn nameless_file(path: &Path) -> Option<File> {
     use std::os::fd::AsRawFd;
     let file = tempfile::tempfile().ok()?;
+    // The system lets others read it where its folder has files without names.
+    file.set_permissions(std::os::unix::fs::PermissionsExt::from_mode(0o600)).ok()?;
     std::os::unix::fs::symlink(format!("/proc/self/fd/{}", file.as_raw_fd()), path).ok()?;
     if open_file(path).is_ok() {
         return Some(file);

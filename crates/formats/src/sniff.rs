@@ -22,6 +22,8 @@ pub(crate) enum FileKind {
     Mgh,
     Png,
     Hdf5,
+    /// The description of an HDF5 file of BigDataViewer.
+    BigDataViewer,
     /// A classic file; newer ones are HDF5.
     Netcdf,
     /// An unsupported format, with a description.
@@ -42,6 +44,7 @@ impl FileKind {
                 | Self::Vtk
                 | Self::Mgh
                 | Self::Hdf5
+                | Self::BigDataViewer
                 | Self::Netcdf
         )
     }
@@ -62,6 +65,7 @@ impl FileKind {
             Self::Mgh => "a FreeSurfer MGH volume",
             Self::Png => "a PNG picture",
             Self::Hdf5 => "an HDF5 file",
+            Self::BigDataViewer => "a description of BigDataViewer",
             Self::Netcdf => "a netCDF file",
             Self::Other(name) => name,
         }
@@ -86,10 +90,12 @@ pub(crate) fn kind_of(start: &[u8], path: &Path) -> FileKind {
         () if is_at(0, vtk::MAGIC) => FileKind::Vtk,
         () if is_at(0, b"\x89PNG") => FileKind::Png,
         () if hdf5::is_header(start) => FileKind::Hdf5,
+        () if hdf5::is_description(start) => FileKind::BigDataViewer,
         () if netcdf::is_header(start) => FileKind::Netcdf,
         () if mgh::is_header(start, path) => FileKind::Mgh,
         () if mrc::is_header(start, path) => FileKind::Mrc,
         () if dicom::is_header(start) => FileKind::Dicom,
+        () if hdf5::is_after_user_block(path) => FileKind::Hdf5,
         () => FileKind::Other(named(start, path).unwrap_or_else(|| other_name(start))),
     }
 }

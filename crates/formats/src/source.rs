@@ -271,7 +271,8 @@ pub fn source_exists(source: &str) -> bool {
 /// exists for the system.
 fn within_file(path: &Path) -> Option<(PathBuf, String)> {
     let file = path.ancestors().skip(1).find(|part| part.is_file()).filter(|_| !path.exists())?;
-    hdf5::is_header(&read_start(file)?).then_some(())?;
+    let start = read_start(file)?;
+    (hdf5::is_header(&start) || hdf5::is_after_user_block(file)).then_some(())?;
     let rest = path.strip_prefix(file).ok()?.iter().map(|name| name.to_string_lossy());
     Some((file.to_owned(), rest.fold(String::new(), |all, name| all + "/" + &name)))
 }
@@ -342,6 +343,7 @@ pub(crate) fn open_path(path: &Path, options: &OpenOptions) -> Result<Box<dyn Vo
         FileKind::Mgh => Box::new(mgh::MghFile::open(file, path)?),
         FileKind::Netcdf => Box::new(netcdf::NetcdfFile::open(file, path, options)?),
         FileKind::Hdf5 => Box::new(hdf5::Hdf5File::open(file, path, "/", options)?),
+        FileKind::BigDataViewer => Box::new(hdf5::Hdf5File::open_description(path, options)?),
         FileKind::Png => Box::new(png_stack::PngStack::open(vec![path.to_owned()], path, options)?),
         FileKind::Other(sniff::PAIR) => return open_path(&path.with_extension("hdr"), options),
         FileKind::Other(found) => return Err(unsupported(found, sniff::expected_for(found))),

@@ -277,7 +277,7 @@ macro_rules! targets {
     )*};
 }
 
-targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd dicom_coded dicom_vendors calibrated vti zarr packed hdf5 hdf5_axes netcdf xarray }
+targets! { nifti metaimage numpy mrc nrrd tiff dicom dicom_odd dicom_coded dicom_vendors calibrated vti zarr packed hdf5 hdf5_axes hdf5_links hdf5_dialects netcdf xarray }
 
 /// Memory limit for the voxels.
 const MEMORY_LIMIT: u64 = 1 << 20;

@@ -12,9 +12,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use isinglass_core::volume::{PAGE_POINTS, PageError, PageId, PageSource, PageVoxels, Volume};
+use isinglass_core::volume::{PAGE_POINTS, PageError, PageId};
 use isinglass_formats::{
-    Dtype, Endian, Flip, FormatError, OpenOptions, PagedFile, RawShape, Selection, open, open_paged,
+    Dtype, Endian, Flip, FormatError, OpenOptions, RawShape, Selection, open, open_paged,
 };
 use paging::{check_pages, is_part, places, text};
 use tempfile::TempDir;

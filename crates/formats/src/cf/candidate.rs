@@ -4,8 +4,25 @@
 pub(crate) struct VolumeCandidate {
     /// Sizes along its axes in space.
     pub(crate) sizes: Vec<u64>,
-    /// Whether it describes other arrays.
-    pub(crate) is_auxiliary: bool,
+    pub(crate) standing: Standing,
+}
+
+/// Which array of a file is shown first: the largest of those that stand highest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Standing {
+    /// A mask, or an array that describes others.
+    Aside,
+    #[default]
+    Usual,
+    /// The file says that it is to be shown.
+    First,
+}
+
+impl Standing {
+    /// That of an array which describes others, or not.
+    pub(crate) fn of(is_auxiliary: bool) -> Self {
+        if is_auxiliary { Self::Aside } else { Self::Usual }
+    }
 }
 
 impl VolumeCandidate {
@@ -18,16 +35,19 @@ impl VolumeCandidate {
         self.sizes.iter().fold(1, |n, side| n.saturating_mul(*side))
     }
 
-    /// The places of those that can be shown. Planes are volumes only where there is nothing else.
+    /// The places of those that can be shown. Planes are volumes only where there is nothing else, or where the file
+    /// shows them first.
     pub(crate) fn shown(list: &[Self]) -> Vec<usize> {
         let most = list.iter().map(Self::num_sides).max().unwrap_or(0);
-        (0..list.len()).filter(|&i| most > 1 && list[i].num_sides() == most).collect()
+        let is_shown =
+            |one: &Self| one.num_sides() > 1 && (one.num_sides() == most || one.standing == Standing::First);
+        (0..list.len()).filter(|&i| is_shown(&list[i])).collect()
     }
 
-    /// The one of `shown` that is shown without a choice: the largest, or the first of several. What describes others
-    /// comes last.
+    /// The one of `shown` that is shown without a choice: the largest, or the first of several. What stands higher goes
+    /// before.
     pub(crate) fn usual(list: &[Self], shown: &[usize]) -> usize {
-        let rank = |&n: &usize| (!list[shown[n]].is_auxiliary, list[shown[n]].num_voxels());
+        let rank = |&n: &usize| (list[shown[n]].standing, list[shown[n]].num_voxels());
         (0..shown.len()).rev().max_by_key(rank).unwrap_or(0)
     }
 }
@@ -38,8 +58,11 @@ mod tests {
 
     #[test]
     fn the_largest_volume_is_shown_that_describes_no_other() {
-        let choice = |sizes: &[u64], is_auxiliary| VolumeCandidate { sizes: sizes.to_vec(), is_auxiliary };
-        let list = [
+        let choice = |sizes: &[u64], is_auxiliary| VolumeCandidate {
+            sizes: sizes.to_vec(),
+            standing: Standing::of(is_auxiliary),
+        };
+        let mut list = vec![
             choice(&[100, 100], false),
             choice(&[4, 5, 6], true),
             choice(&[3, 4, 5], false),
@@ -52,5 +75,9 @@ mod tests {
         // The control: alone, the one that describes others is shown.
         assert_eq!(VolumeCandidate::usual(&list, &[1]), 0);
         assert!(VolumeCandidate::shown(&[choice(&[7, 1], false)]).is_empty());
+        // A plane that the file shows first.
+        list[0].standing = Standing::First;
+        let shown = VolumeCandidate::shown(&list);
+        assert_eq!((&shown[..], VolumeCandidate::usual(&list, &shown)), (&[0, 1, 2, 3][..], 0));
     }
 }

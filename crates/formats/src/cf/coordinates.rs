@@ -76,6 +76,17 @@ impl Coordinates {
         self.line = Some((sign * first, sign * step));
     }
 
+    /// What a program tells of an axis: what it is, its first coordinate and its step, and their unit.
+    pub(crate) fn told(kind: Option<AxisKind>, line: Option<(f64, f64)>, unit: Unit) -> Self {
+        let line = line.filter(|(at, step)| at.is_finite() && step.is_finite() && *step != 0.0);
+        Self { kind, line, unit, ..Self::default() }
+    }
+
+    /// The same where y and z point up, as they do in space.
+    pub(crate) fn in_space(self) -> Self {
+        Self { is_of_earth: true, ..self }
+    }
+
     /// Seconds from one point in time to the next.
     pub(crate) fn seconds(&self) -> Option<f64> {
         match (&self.unit, self.line) {
@@ -105,7 +116,8 @@ fn unwind(numbers: &mut [f64]) {
     }
 }
 
-pub(super) fn unit_of(text: &str) -> Unit {
+/// The unit that a text names.
+pub(crate) fn unit_of(text: &str) -> Unit {
     let text = text.trim();
     let first = text.split_whitespace().next().unwrap_or_default();
     match (length_unit(text), time_unit(first).or_else(|| long_time(first))) {

@@ -8,8 +8,8 @@ mod names;
 mod values;
 mod variables;
 
-pub(crate) use self::candidate::VolumeCandidate;
-pub(crate) use self::coordinates::{Coordinates, Unit};
+pub(crate) use self::candidate::{Standing, VolumeCandidate};
+pub(crate) use self::coordinates::{Coordinates, Unit, unit_of};
 pub(crate) use self::layout::{num_in_space, plan};
 pub(crate) use self::names::kind_of_name;
 pub(crate) use self::values::{NumberMeaning, signed_as_told};

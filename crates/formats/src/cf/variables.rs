@@ -154,7 +154,7 @@ impl<'a> Variables<'a> {
                 true => all[num_rows / 2 * num_columns..][..num_columns].to_vec(),
                 false => all.iter().skip(num_columns / 2).step_by(num_columns).copied().collect(),
             };
-            axis.unit = super::coordinates::unit_of("degrees");
+            axis.unit = super::unit_of("degrees");
             axis.set_variable(line, false);
         }
     }

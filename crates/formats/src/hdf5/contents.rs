@@ -1,35 +1,51 @@
-//! What an HDF5 file contains. The crate `hdf5-pure` reads its metadata here, and nothing else.
+//! What an HDF5 file contains. The crate `hdf5-pure` reads the metadata of its objects, and nothing else.
 
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::fs::File;
 use std::path::Path;
+use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-use hdf5_pure::{AttrValue, Datatype, DatatypeByteOrder, Group};
+use hdf5_pure::{AttrValue, Datatype, DatatypeByteOrder};
 
+use super::links::{ObjectPlace, Place};
+use super::objects::{Link, ObjectReader};
 use super::source::{MetadataSource, SharedFile};
-use crate::cf::{AttributeList, signed_as_told};
+use super::storage::Storage;
+use crate::cf::{AttributeList, Coordinates, Standing, signed_as_told};
 use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, io_error, malformed, one_line, shown};
+use crate::error::{FormatError, io_error, malformed, one_line, quoted};
 
 /// An open file. Only [`with_contents`] makes one, on a thread of its own.
 pub(super) struct ArrayFile {
     pub(super) metadata: hdf5_pure::File,
     pub(super) bytes: Arc<SharedFile>,
+    pub(super) objects: ObjectReader,
+    /// The byte at which the first group begins.
+    pub(super) root: u64,
+    /// The links of groups that were read.
+    pub(super) known_links: RefCell<HashMap<u64, Arc<Vec<Link>>>>,
+    /// The attributes of objects that were read; `None` where there are no objects.
+    known_attributes: RefCell<HashMap<String, Option<Rc<Attributes>>>>,
 }
 
 /// An array in the file.
 pub(super) struct Listed {
     /// Its path from the root, which begins with a slash.
     pub(super) path: String,
+    /// The byte at which its header begins.
+    pub(super) at: u64,
     /// Its sides, the slowest axis first.
     pub(super) shape: Vec<u64>,
     /// The type of its numbers, or what else it has.
     pub(super) kind: Result<(Dtype, Endian), String>,
     pub(super) attributes: Attributes,
     pub(super) dataset: hdf5_pure::Dataset,
+    /// What the program that wrote it tells of its axes, the slowest first, if that program is known.
+    pub(super) told: Option<Vec<Coordinates>>,
+    pub(super) standing: Standing,
 }
 
 /// The attributes of an array or a group.
@@ -45,8 +61,8 @@ pub(super) fn with_contents<T: Send>(
     let bytes = Arc::new(SharedFile::new(file).map_err(io_error(path))?);
     let bad = malformed(path, FORMAT);
     let open = move || {
-        let metadata = hdf5_pure::File::from_source(MetadataSource::new(Arc::clone(&bytes)));
-        work(&ArrayFile { metadata: metadata.map_err(|e| bad(problem(&e)))?, bytes })
+        let source = MetadataSource::new(Arc::clone(&bytes));
+        work(&ArrayFile::new(source, bytes).map_err(|e| bad(problem(&e)))?)
     };
     thread::scope(|scope| {
         let thread = thread::Builder::new().name("hdf5".into()).stack_size(STACK_BYTES);
@@ -56,76 +72,101 @@ pub(super) fn with_contents<T: Send>(
 }
 
 impl ArrayFile {
-    /// All arrays at `inside` or below it.
-    pub(super) fn arrays(
-        &self,
-        inside: &str,
-        path: &Path,
-        cancel: Option<&AtomicBool>,
-    ) -> Result<Vec<Listed>, FormatError> {
-        let bad = malformed(path, FORMAT);
-        let mut found = Vec::new();
-        match self.metadata.dataset(inside) {
-            Ok(dataset) => found.push(Listed::of(inside.to_owned(), dataset).map_err(|e| bad(problem(&e)))?),
-            Err(hdf5_pure::Error::NotADataset(_)) => {
-                let group = self.metadata.group(inside).map_err(|e| bad(problem(&e)))?;
-                let inside = inside.trim_end_matches('/').to_owned();
-                let mut waiting = vec![(inside, group, 0)];
-                while let Some((name, group, depth)) = waiting.pop() {
-                    if cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
-                        return Err(FormatError::Cancelled { path: shown(path) });
-                    }
-                    let groups = list(&name, &group, &mut found).map_err(|e| bad(problem(&e)))?;
-                    let groups = groups.into_iter().filter(|_| depth < MAX_DEPTH);
-                    waiting.extend(groups.map(|(name, group)| (name, group, depth + 1)));
-                    if found.len() > MAX_ARRAYS {
-                        return Err(bad(format!("it has more than {MAX_ARRAYS} arrays, expected fewer")));
-                    }
-                }
-            }
-            Err(e) => return Err(bad(problem(&e))),
+    fn new(file: MetadataSource, bytes: Arc<SharedFile>) -> Result<Self, hdf5_pure::Error> {
+        let metadata = hdf5_pure::File::from_source(file.clone())?;
+        let start = metadata.superblock();
+        let objects = ObjectReader {
+            source: file,
+            base: start.base_address.get(),
+            offset_size: start.offset_size.into(),
+            length_size: start.length_size.into(),
+        };
+        let root = start.root_group_address;
+        Ok(Self {
+            metadata,
+            bytes,
+            objects,
+            root,
+            known_links: RefCell::default(),
+            known_attributes: RefCell::default(),
+        })
+    }
+
+    /// The attributes of a group or an array, which are read once; `None` if there is no such object.
+    pub(super) fn attributes(&self, path: &str) -> Option<Rc<Attributes>> {
+        if let Some(found) = self.known_attributes.borrow().get(path) {
+            return found.clone();
         }
-        found.sort_by(|a, b| a.path.cmp(&b.path));
-        Ok(found)
+        let place = self.place(path).ok();
+        let found = place.and_then(|place| match self.metadata.group(&place.path) {
+            Ok(group) => group.attrs().ok(),
+            Err(_) => self.metadata.dataset(&place.path).ok()?.attrs().ok(),
+        });
+        let found = found.map(|found| Rc::new(Attributes(found)));
+        let mut known = self.known_attributes.borrow_mut();
+        if known.len() < MAX_KNOWN {
+            known.insert(path.to_owned(), found.clone());
+        }
+        found
     }
 
-    /// The attributes of a group; `None` if there is no such group.
-    pub(super) fn attributes(&self, group: &str) -> Option<Attributes> {
-        Some(Attributes(self.metadata.group(group).ok()?.attrs().ok()?))
+    /// The names in a group, in their order; none if there is no such group.
+    pub(super) fn names(&self, group: &str) -> Vec<String> {
+        let links = self.place(group).and_then(|place| self.links(place.at));
+        links.map(|links| links.iter().map(|link| link.name.clone()).collect()).unwrap_or_default()
     }
 
-    /// How many groups `group` has that are called `prefix` and a number, from 0 on.
-    pub(super) fn num_numbered(&self, group: &str, prefix: &str) -> usize {
-        let names = self.metadata.group(group).and_then(|group| group.groups()).unwrap_or_default();
-        (0..names.len()).take_while(|i| names.iter().any(|name| *name == format!("{prefix}{i}"))).count()
+    /// The numbers that follow `prefix` in the names of a group, the least first.
+    pub(super) fn numbers_after(&self, group: &str, prefix: &str) -> Vec<u32> {
+        let names = self.names(group);
+        let numbers = names.iter().filter_map(|name| name.strip_prefix(prefix)?.parse().ok());
+        let mut numbers: Vec<u32> = numbers.collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        numbers
+    }
+
+    /// Where the object at `path` is in this file.
+    fn place(&self, path: &str) -> Result<ObjectPlace, String> {
+        match self.resolve(path)? {
+            Place::Here(place) => Ok(place),
+            Place::Elsewhere(link) => Err(format!("{} is in the file {}", quoted(path), quoted(&link.file))),
+        }
+    }
+
+    /// The numbers of a short array; `None` if there is none.
+    pub(super) fn numbers(&self, path: &str) -> Option<Vec<f64>> {
+        let array = self.array(path).ok()?;
+        Storage::of(self, &array, MAX_NUMBER_BYTES).ok()?.all_numbers().ok()
     }
 
     /// The array at `path` within the file.
     pub(super) fn array(&self, path: &str) -> Result<Listed, String> {
-        let dataset = self.metadata.dataset(path).map_err(|e| problem(&e))?;
-        Listed::of(path.to_owned(), dataset).map_err(|e| problem(&e))
+        let place = self.place(path)?;
+        let dataset = self.metadata.dataset(&place.path).map_err(|e| problem(&e))?;
+        Listed::of(path.to_owned(), place.at, dataset).map_err(|e| problem(&e))
     }
-}
-
-/// Adds the arrays of a group to `found`. Returns the groups in it.
-fn list(
-    name: &str,
-    group: &Group,
-    found: &mut Vec<Listed>,
-) -> Result<Vec<(String, Group)>, hdf5_pure::Error> {
-    for (own, dataset) in group.iter_datasets()? {
-        // An array that cannot be read hides no other one.
-        found.extend(Listed::of(format!("{name}/{own}"), dataset));
-    }
-    Ok(group.iter_groups()?.map(|(own, group)| (format!("{name}/{own}"), group)).collect())
 }
 
 impl Listed {
-    fn of(path: String, dataset: hdf5_pure::Dataset) -> Result<Self, hdf5_pure::Error> {
+    pub(super) fn of(path: String, at: u64, dataset: hdf5_pure::Dataset) -> Result<Self, hdf5_pure::Error> {
         let attributes = Attributes(dataset.attrs().unwrap_or_default());
-        let kind = number_type(&dataset.datatype()?);
+        let datatype = dataset.datatype()?;
+        let standing = if is_truth(&datatype) { Standing::Aside } else { Standing::Usual };
+        let kind = number_type(&datatype);
         let kind = kind.map(|(dtype, endian)| (signed_as_told(dtype, &attributes), endian));
-        Ok(Self { path, shape: dataset.shape()?, kind, attributes, dataset })
+        let shape = dataset.shape()?;
+        Ok(Self { path, at, shape, kind, attributes, dataset, told: None, standing })
+    }
+
+    /// The group that it is in, without a slash at the end.
+    pub(super) fn folder(&self) -> &str {
+        self.path.rsplit_once('/').map_or("", |(folder, _)| folder)
+    }
+
+    /// Its own name.
+    pub(super) fn name(&self) -> &str {
+        self.path.rsplit('/').next().unwrap_or_default()
     }
 
     /// Its shape and type, the slowest axis first.
@@ -134,6 +175,12 @@ impl Listed {
         let kind = self.kind.as_ref().map_or_else(String::as_str, |kind| kind.0.name());
         format!("{} ({} {kind})", one_line(&self.path), sides.join("×"))
     }
+}
+
+/// Whether a type has truth values.
+fn is_truth(datatype: &Datatype) -> bool {
+    let Datatype::Enumeration { members, .. } = datatype else { return false };
+    members.len() == 2 && members.iter().any(|member| member.name.eq_ignore_ascii_case("true"))
 }
 
 /// The type of numbers, or what else the type is.
@@ -190,6 +237,11 @@ fn number_type(datatype: &Datatype) -> Result<(Dtype, Endian), String> {
 }
 
 impl Attributes {
+    /// Whether there is an attribute of this name.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
     /// The numbers of an attribute; empty if there is none.
     pub(super) fn numbers(&self, name: &str) -> Vec<f64> {
         let Some(value) = self.0.get(name) else { return Vec::new() };
@@ -238,10 +290,11 @@ pub(super) fn problem(e: &hdf5_pure::Error) -> String {
 }
 
 pub(super) const FORMAT: &str = "HDF5";
-/// Deepest group.
-const MAX_DEPTH: usize = 32;
-const MAX_ARRAYS: usize = 1 << 16;
 /// The types of the largest block of metadata are nested this deep at most.
 const STACK_BYTES: usize = 256 << 20;
+/// Most groups whose links and objects whose attributes are kept.
+pub(super) const MAX_KNOWN: usize = 4096;
+/// Largest chunk of a short array.
+const MAX_NUMBER_BYTES: u64 = 16 << 20;
 /// Longest text of an attribute.
 const MAX_TEXT_BYTES: usize = 1 << 16;

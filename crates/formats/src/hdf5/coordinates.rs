@@ -16,15 +16,15 @@ pub(super) struct Scales<'a> {
 }
 
 impl<'a> Scales<'a> {
-    pub(super) fn of(all: &'a [Listed]) -> Self {
+    pub(super) fn of(all: &[&'a Listed]) -> Self {
         let is_scale = |a: &&Listed| {
             a.shape.len() == 1 && a.attributes.text("CLASS").as_deref() == Some("DIMENSION_SCALE")
         };
         let mut scales: Vec<DimensionScale> =
-            all.iter().filter(is_scale).take(MAX_SCALES).map(DimensionScale::of).collect();
+            all.iter().copied().filter(is_scale).take(MAX_SCALES).map(DimensionScale::of).collect();
         scales.sort_by_key(|scale| scale.number);
         let is_of_netcdf = scales.iter().any(|scale| scale.number.is_some());
-        let arrays: Vec<&Listed> = all.iter().filter(|a| !is_placeholder(a)).collect();
+        let arrays: Vec<&Listed> = all.iter().copied().filter(|a| !is_placeholder(a)).collect();
         let variable = |array: &&'a Listed| Variable {
             path: array.path.clone(),
             dims: dims(array, &scales),
@@ -57,17 +57,13 @@ struct DimensionScale<'a> {
 impl<'a> DimensionScale<'a> {
     fn of(array: &'a Listed) -> Self {
         let number = array.attributes.number("_Netcdf4Dimid").map(|number| number as i64);
-        Self { array, folder: folder(&array.path), number }
+        Self { array, folder: array.folder(), number }
     }
 }
 
 /// Whether an array stands for a dimension without coordinates. It says so in its name, and its numbers are not stored.
 fn is_placeholder(array: &Listed) -> bool {
     array.shape.len() == 1 && array.attributes.text("NAME").is_some_and(|name| name.starts_with(NO_VARIABLE))
-}
-
-fn folder(path: &str) -> &str {
-    path.rsplit_once('/').map_or("", |(folder, _)| folder)
 }
 
 /// The paths of the scales of each axis, as far as there are such. NetCDF numbers its dimensions. Otherwise, a scale of
@@ -84,7 +80,7 @@ fn dims(array: &Listed, scales: &[DimensionScale]) -> Vec<Option<String>> {
         };
         return numbers.iter().zip(&array.shape).map(numbered).collect();
     }
-    let own = folder(&array.path);
+    let own = array.folder();
     if scales.iter().any(|scale| scale.array.path == array.path) {
         return vec![Some(array.path.clone())];
     }
@@ -132,6 +128,9 @@ fn taken<'a>(
 
 /// The axes of `array`, the slowest first. Coordinates are read only from `contents`.
 pub(super) fn of_array(contents: Option<&ArrayFile>, array: &Listed, scales: &Scales) -> Vec<Coordinates> {
+    if let Some(told) = &array.told {
+        return told.clone();
+    }
     let mut axes = vec![Coordinates::default(); array.shape.len()];
     set_names(&mut axes, &array.attributes);
     set_tags(&mut axes, &array.attributes);
@@ -141,7 +140,7 @@ pub(super) fn of_array(contents: Option<&ArrayFile>, array: &Listed, scales: &Sc
         storage.and_then(|s| s.all_numbers()).ok()
     };
     if let Some(index) = scales.variables.index_of(&array.path) {
-        let all = all.as_ref().map(|all| all as &dyn AttributeList);
+        let all = all.as_ref().map(|all| &**all as &dyn AttributeList);
         let numbers: Option<&dyn Fn(usize) -> Option<Vec<f64>>> = contents.is_some().then_some(&numbers);
         for (axis, found) in axes.iter_mut().zip(scales.variables.axes_of(index, numbers, all)) {
             let (kind, line) = (axis.kind.or(found.kind), found.line.or(axis.line));

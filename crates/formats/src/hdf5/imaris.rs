@@ -1,130 +1,83 @@
 //! Imaris 5.5 (`.ims`): an HDF5 file with levels of a pyramid, points in time and channels, each an array of its own.
 
-use std::path::Path;
-
 use glam::DVec3;
-use isinglass_core::volume::MAX_CHANNELS;
 
 use super::contents::{ArrayFile, Attributes};
-use super::storage;
+use super::image::{ArrayImage, PartLevel, PartNames};
+use super::storage::StorageForm;
 use crate::axes::Geometry;
-use crate::dtype::{Dtype, Endian};
-use crate::error::{FormatError, one_line};
-use crate::levels::LevelGrid;
-use crate::outline::Level;
-use crate::plan::{Axis, ChannelLook, Plan, Role};
-use crate::pyramid;
-use crate::source::OpenOptions;
+use crate::error::one_line;
+use crate::plan::{Axis, ChannelLook, Plan};
 use crate::units::{length_unit, time_step};
 
-/// The image of an Imaris file.
-#[derive(Clone)]
-pub(super) struct Imaris {
-    /// Voxels of each level along x, y and z, without those that fill the last chunks.
-    dims: Vec<[u64; 3]>,
-    num_times: usize,
-    dtype: Dtype,
-    endian: Endian,
-    /// The corners, and the unit of their coordinates.
-    extent: Option<(DVec3, DVec3)>,
-    unit: Option<&'static str>,
-    /// Name and look of each channel.
-    channels: Vec<(String, ChannelLook)>,
-    /// Seconds from one point in time to the next.
-    time_step: Option<f64>,
+/// The image of a file of Imaris; `None` if it is none.
+pub(super) fn image(contents: &ArrayFile) -> Option<Result<ArrayImage, String>> {
+    let root = contents.attributes("/");
+    let folder = |name: &str, usual: &str| {
+        let told = root.as_ref().and_then(|root| root.text(name)).filter(|told| !told.trim().is_empty());
+        told.map_or(usual.to_owned(), |told| told.trim().to_owned())
+    };
+    let data = folder("DataSetDirectoryName", "DataSet");
+    let levels = contents.numbers_after(&format!("/{data}"), "ResolutionLevel ");
+    let at_level = format!("/{data}/ResolutionLevel {}", levels.first()?);
+    let times = contents.numbers_after(&at_level, "TimePoint ");
+    let channels = contents.numbers_after(&format!("{at_level}/TimePoint {}", times.first()?), "Channel ");
+    let names = PartNames::Imaris { root: data, levels, times, channels };
+    let first = contents.array(&names.path(0, 0, 0)).ok()?;
+    if first.shape.len() != 3 {
+        return None;
+    }
+    let info = format!("/{}", folder("DataSetInfoDirectoryName", "DataSetInfo"));
+    Some(read(contents, names, &info))
 }
 
-/// Whether the file is of Imaris.
-pub(super) fn is_imaris(contents: &ArrayFile) -> bool {
-    contents.array(&array_path(0, 0, 0)).is_ok_and(|array| array.shape.len() == 3)
-}
-
-/// The array of a level, a point in time and a channel.
-pub(super) fn array_path(level: usize, time: usize, channel: usize) -> String {
-    format!("/DataSet/ResolutionLevel {level}/TimePoint {time}/Channel {channel}/Data")
-}
-
-impl Imaris {
-    /// Reads what the file says of its image.
-    pub(super) fn read(contents: &ArrayFile) -> Result<Self, String> {
-        let first = contents.array(&array_path(0, 0, 0))?;
-        storage::check(&first)?;
-        let (dtype, endian) = first.kind?;
-        let num_levels = contents.num_numbered("/DataSet", "ResolutionLevel ").clamp(1, MAX_LEVELS);
-        let num_times = contents.num_numbered("/DataSet/ResolutionLevel 0", "TimePoint ");
-        let num_channels = contents.num_numbered("/DataSet/ResolutionLevel 0/TimePoint 0", "Channel ");
-        let dims = (0..num_levels).map(|level| dims(contents, level)).collect::<Result<_, _>>()?;
-        let channel = |i: usize| {
-            let info = contents.attributes(&format!("/DataSetInfo/Channel {i}"));
-            let name = info.as_ref().and_then(|info| info.text("Name")).unwrap_or_default();
-            (one_line(name.trim()), info.as_ref().map(look).unwrap_or_default())
-        };
-        let info = contents.attributes("/DataSetInfo/Image");
-        let times = contents.attributes("/DataSetInfo/TimeInfo");
-        Ok(Self {
-            dims,
-            num_times,
-            dtype,
-            endian,
-            extent: info.as_ref().and_then(extent),
-            unit: info.and_then(|info| length_unit(info.text("Unit")?.trim())).map(|(_, name)| name),
-            channels: (0..num_channels).map(channel).collect(),
-            time_step: times.and_then(|info| seconds_between(&info)),
-        })
+/// Reads what the file says of its image. `info` is the group that describes it.
+fn read(contents: &ArrayFile, names: PartNames, info: &str) -> Result<ArrayImage, String> {
+    let PartNames::Imaris { levels, times, channels, .. } = &names else { return Err("no image".into()) };
+    let first = contents.array(&names.path(0, 0, 0))?;
+    StorageForm::of(contents, &first)?;
+    let (dtype, endian) = first.kind?;
+    let num_levels = levels.len().min(MAX_LEVELS);
+    let dims: Vec<[u64; 3]> =
+        (0..num_levels).map(|level| dims(contents, &names, level)).collect::<Result<_, _>>()?;
+    let (num_times, num_channels) = (times.len(), channels.len());
+    let looks = channels.iter().map(|number| {
+        let info = contents.attributes(&format!("{info}/Channel {number}"));
+        let name = info.as_ref().and_then(|info| info.text("Name")).unwrap_or_default();
+        (one_line(name.trim()), info.map(|info| look(&info)).unwrap_or_default())
+    });
+    let (channel_names, looks): (Vec<String>, Vec<ChannelLook>) = looks.unzip();
+    let image = contents.attributes(&format!("{info}/Image"));
+    let extent = image.as_ref().and_then(|image| extent(image));
+    let unit = image.and_then(|image| length_unit(image.text("Unit")?.trim())).map(|(_, name)| name);
+    let voxels = |dims: [u64; 3]| DVec3::from(dims.map(|n| n as f64));
+    let (least, most) = extent.unwrap_or((DVec3::ZERO, voxels(dims[0])));
+    let spacing = (most - least) / voxels(dims[0]);
+    let unit = extent.map(|_| unit.unwrap_or("µm").to_owned());
+    let mut geometry = Geometry::of_image(spacing.to_array(), unit);
+    geometry.origin = extent.map(|_| least + spacing / 2.0);
+    let mut plan = Plan::new("Imaris", dtype, endian, Axis::in_space(dims[0]), geometry);
+    if extent.is_none() {
+        plan.spacing_guess = Some("the image has no extent; its spacing was taken as 1".into());
     }
-
-    /// The level that the options select, or that fits.
-    pub(super) fn level(&self, path: &Path, options: &OpenOptions) -> Result<usize, FormatError> {
-        let num_channels = match options.selection.channel {
-            Some(_) => 1,
-            None => self.channels.len().min(MAX_CHANNELS),
-        };
-        pyramid::level_to_show(path, &self.dims, num_channels as u64, self.dtype, options)
+    if num_channels > 1 {
+        plan.channel_names = channel_names;
     }
-
-    pub(super) fn plan(self, level: usize) -> Plan {
-        let mut axes = Axis::in_space(self.dims[level]);
-        axes.push(Axis { size: self.channels.len() as u64, role: Role::Channel });
-        axes.push(Axis { size: self.num_times as u64, role: Role::Time });
-        let voxels = |dims: [u64; 3]| DVec3::from(dims.map(|n| n as f64));
-        let (least, most) = self.extent.unwrap_or((DVec3::ZERO, voxels(self.dims[0])));
-        let spacing = |dims: [u64; 3]| ((most - least) / voxels(dims)).to_array();
-        let own = spacing(self.dims[level]);
-        let unit = self.extent.map(|_| self.unit.unwrap_or("µm").to_owned());
-        let mut geometry = Geometry::of_image(own, unit);
-        geometry.origin = self.extent.map(|(least, _)| least + DVec3::from(own) / 2.0);
-        let mut plan = Plan::new("Imaris", self.dtype, self.endian, axes, geometry);
-        if self.extent.is_none() {
-            plan.spacing_guess = Some("the image has no extent; its spacing was taken as 1".into());
-        }
-        if self.channels.len() > 1 {
-            plan.channel_names = self.channels.iter().map(|(name, _)| name.clone()).collect();
-        }
-        plan.channel_looks = self.channels.into_iter().map(|(_, look)| look).collect();
-        plan.join_channels();
-        plan.time_step = self.time_step;
-        plan.level = level;
-        if level > 0 {
-            let step = (voxels(self.dims[0]) / voxels(self.dims[level])).to_array();
-            // All levels have the corners of the image.
-            let first = step.map(|step| (step - 1.0) / 2.0);
-            pyramid::put_in_finest(&mut plan, LevelGrid { finest_dims: self.dims[0], step, first });
-        }
-        if self.dims.len() > 1 {
-            let level = |dims: &[u64; 3]| Level { dims: *dims, spacing: spacing(*dims) };
-            plan.levels = self.dims.iter().map(level).collect();
-        }
-        plan
-    }
+    plan.channel_looks = looks;
+    plan.time_step = contents.attributes(&format!("{info}/TimeInfo")).and_then(|info| seconds_between(&info));
+    let finest = voxels(dims[0]);
+    let parts = dims.iter().map(|dims| PartLevel { dims: *dims, step: (finest / voxels(*dims)).to_array() });
+    let parts: Vec<PartLevel> = parts.collect();
+    Ok(ArrayImage::new(plan, (num_channels, num_times), parts, names).with_joint_channels())
 }
 
 /// The voxels of a level along x, y and z.
-fn dims(contents: &ArrayFile, level: usize) -> Result<[u64; 3], String> {
-    let array = contents.array(&array_path(level, 0, 0))?;
+fn dims(contents: &ArrayFile, names: &PartNames, level: usize) -> Result<[u64; 3], String> {
+    let array = contents.array(&names.path(level, 0, 0))?;
     let [z, y, x] = array.shape[..] else {
         return Err(format!("{} has {} axes, expected three", array.description(), array.shape.len()));
     };
-    let group = contents.attributes(array.path.trim_end_matches("/Data"));
+    let group = contents.attributes(array.folder());
     let told = |name: &str, stored: u64| {
         let number = group.as_ref().and_then(|group| group.text(name)?.trim().parse().ok());
         number.filter(|n| (1..=stored).contains(n)).unwrap_or(stored)
@@ -141,7 +94,8 @@ fn extent(info: &Attributes) -> Option<(DVec3, DVec3)> {
         Some(DVec3::new(number(0)?, number(1)?, number(2)?))
     };
     let (least, most) = (numbers("ExtMin")?, numbers("ExtMax")?);
-    least.cmplt(most).all().then_some((least, most))
+    // Where the corners are exchanged, the axis runs down.
+    (most - least).cmpne(DVec3::ZERO).all().then_some((least, most))
 }
 
 /// The colour and the window of a channel.

@@ -1,11 +1,13 @@
-//! The bytes of an HDF5 file for the reader of its metadata, which may read only so many.
+//! The bytes of an HDF5 file for the readers of its metadata, which may read only so many.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use hdf5_pure::Source;
+
+use crate::error::one_line;
 
 /// A file that several threads read.
 pub(super) struct SharedFile {
@@ -37,25 +39,52 @@ impl SharedFile {
     }
 }
 
-/// The metadata of a file. Their trees may have circles, and their sizes may be anything, so the reader gets an end of
-/// bytes: a few times the file, in blocks of a bounded size.
-pub(super) struct MetadataSource {
+/// The metadata of a file. Their trees may have circles, and their sizes may be anything, so all readers together get
+/// an end of bytes: a few times the file, in blocks of a bounded size.
+#[derive(Clone)]
+pub(super) struct MetadataSource(Arc<Metadata>);
+
+struct Metadata {
     file: Arc<SharedFile>,
     /// Bytes that may still be read.
     left: AtomicU64,
+    /// What readers find in place of the bytes at an offset.
+    patches: RwLock<Vec<(u64, Vec<u8>)>>,
 }
 
 impl MetadataSource {
     pub(super) fn new(file: Arc<SharedFile>) -> Self {
         let most = file.length.saturating_mul(READS_OF_ALL).saturating_add(LEAST_BYTES).min(MOST_BYTES);
-        Self { file, left: AtomicU64::new(most) }
+        Self(Arc::new(Metadata { file, left: AtomicU64::new(most), patches: RwLock::default() }))
+    }
+
+    /// Gives readers `bytes` in place of those at the offset `at`.
+    pub(super) fn patch(&self, at: u64, bytes: Vec<u8>) {
+        self.0.patches.write().unwrap_or_else(PoisonError::into_inner).push((at, bytes));
+    }
+
+    /// The bytes at an offset. The error says why they cannot be read.
+    pub(super) fn bytes(&self, at: u64, size: usize) -> Result<Vec<u8>, String> {
+        self.read_exact_at(at, size).map_err(|e| one_line(&e.to_string()))
+    }
+
+    /// Puts the patches over `bytes`, which were read at the offset `at`.
+    fn set_patches(&self, at: u64, bytes: &mut [u8]) {
+        for (from, patch) in self.0.patches.read().unwrap_or_else(PoisonError::into_inner).iter() {
+            for (i, byte) in (*from..).zip(patch) {
+                let place = i.checked_sub(at).and_then(|i| bytes.get_mut(usize::try_from(i).ok()?));
+                if let Some(place) = place {
+                    *place = *byte;
+                }
+            }
+        }
     }
 
     /// Counts the bytes of a block. A block costs something even if it is short.
     fn count(&self, at: u64, size: usize) -> Result<(), hdf5_pure::FormatError> {
         let size = size as u64;
-        if at.checked_add(size).is_none_or(|end| end > self.file.length) {
-            return Err(problem(format!("a part ends at {at} + {size} of {} bytes", self.file.length)));
+        if at.checked_add(size).is_none_or(|end| end > self.0.file.length) {
+            return Err(problem(format!("a part ends at {at} + {size} of {} bytes", self.0.file.length)));
         }
         if size > MAX_BLOCK_BYTES {
             return Err(problem(format!(
@@ -64,7 +93,7 @@ impl MetadataSource {
         }
         let cost = size.max(LEAST_COST);
         let take = |left: u64| left.checked_sub(cost);
-        match self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take) {
+        match self.0.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take) {
             Ok(_) => Ok(()),
             Err(_) => Err(problem("its metadata have circles, or are too large".into())),
         }
@@ -73,17 +102,21 @@ impl MetadataSource {
 
 impl Source for MetadataSource {
     fn len(&self) -> u64 {
-        self.file.length
+        self.0.file.length
     }
 
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), hdf5_pure::FormatError> {
         self.count(at, bytes.len())?;
-        self.file.fill(at, bytes).map_err(|e| problem(e.to_string()))
+        self.0.file.fill(at, bytes).map_err(|e| problem(e.to_string()))?;
+        self.set_patches(at, bytes);
+        Ok(())
     }
 
     fn read_exact_at(&self, at: u64, size: usize) -> Result<Vec<u8>, hdf5_pure::FormatError> {
         self.count(at, size)?;
-        self.file.read(at, size as u64).map_err(problem)
+        let mut bytes = self.0.file.read(at, size as u64).map_err(problem)?;
+        self.set_patches(at, &mut bytes);
+        Ok(bytes)
     }
 }
 
@@ -112,6 +145,9 @@ mod tests {
         file.write_all(&[7; 1000]).unwrap();
         let metadata = MetadataSource::new(Arc::new(SharedFile::new(file).unwrap()));
         assert_eq!(metadata.read_exact_at(998, 2).unwrap(), [7, 7]);
+        metadata.patch(10, vec![1, 2, 3]);
+        assert_eq!(metadata.bytes(9, 3).unwrap(), [7, 1, 2]);
+        assert_eq!(metadata.bytes(12, 2).unwrap(), [3, 7]);
         assert!(metadata.read_exact_at(998, 3).is_err() && metadata.read_at(u64::MAX, &mut [0]).is_err());
         assert!(metadata.count(0, 1 << 20).unwrap_err().to_string().contains("of 1000 bytes"));
         let reads = (0..).take_while(|_| metadata.read_at(0, &mut [0; 8]).is_ok()).count() as u64;

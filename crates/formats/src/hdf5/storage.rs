@@ -1,19 +1,20 @@
 //! Where the numbers of an array are in the file, and how they are packed.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use hdf5_pure::{ChunkIndex, Dataset, Error, Filter, Layout};
 
 use super::contents::{ArrayFile, Listed, problem};
+use super::layouts::{chunks_in_tree, fill_value, has_external_files, has_plain_edges, tell_layout};
 use super::source::SharedFile;
-use crate::chunk_grid::{MAX_CHUNKS, next_index, place_chunk};
+use crate::chunk_grid::{MAX_CHUNKS, covering, next_index};
 use crate::dtype::{Dtype, Endian, numbers_from_bytes};
-use crate::unpack::Codec;
+use crate::unpack::{BitPacking, Codec};
 
 /// The numbers of an array in the file.
 pub(super) struct Storage {
     file: Arc<SharedFile>,
-    pub(super) path: String,
     pub(super) shape: Vec<u64>,
     pub(super) dtype: Dtype,
     pub(super) endian: Endian,
@@ -34,6 +35,7 @@ enum Place {
     Here(Vec<u8>),
     /// One after the other from this byte on.
     At(u64),
+    /// In the order of their first numbers.
     Chunks(Vec<StoredChunk>),
 }
 
@@ -42,97 +44,86 @@ enum Place {
 pub(super) struct StoredChunk {
     /// Its first number along each axis.
     pub(super) start: Vec<u64>,
-    address: u64,
-    size: u64,
+    pub(super) address: u64,
+    pub(super) size: u64,
     /// A bit for each filter that it was not packed by.
-    mask: u32,
+    pub(super) mask: u32,
+}
+
+/// What is known of how an array is stored.
+pub(super) struct StorageForm {
+    dataset: Dataset,
+    /// The filters, in the order of writing.
+    filters: Vec<Codec>,
+    layout: Layout,
 }
 
 impl Storage {
     /// Finds the numbers of an array. A chunk may have at most `most_bytes`.
     pub(super) fn of(contents: &ArrayFile, array: &Listed, most_bytes: u64) -> Result<Self, String> {
         let (dtype, endian) = array.kind.clone()?;
-        let dataset = &array.dataset;
-        let (filters, layout) = check(array)?;
+        let StorageForm { dataset, filters, layout } = StorageForm::of(contents, array)?;
         let size = dtype.num_bytes() as u64;
         let shape = array.shape.clone();
-        let mut fill = vec![0; size as usize];
+        let fill = fill_value(&contents.objects, array.at, size as usize);
         let (sides, place) = match layout {
-            Layout::Compact { .. } => (shape.clone(), Place::Here(row(dataset, &shape, 0, shape[0], size)?)),
+            Layout::Compact { .. } => (shape.clone(), Place::Here(row(&dataset, &shape, 0, shape[0], size)?)),
             Layout::Contiguous { address: Some(address), .. } => (divided(&shape, size), Place::At(address)),
-            Layout::Chunked { chunk_shape, .. } => {
-                let num = chunk_shape.iter().zip(&shape).try_fold(1u64, |n, (side, length)| {
-                    let along = length.checked_div(*side)?.checked_add(1)?;
-                    n.checked_mul(along)
-                });
-                let bytes = chunk_shape.iter().try_fold(size, |n, side| n.checked_mul(*side));
-                if chunk_shape.len() != shape.len()
-                    || num.is_none_or(|n| n > 2 * MAX_CHUNKS)
-                    || bytes.is_none_or(|bytes| bytes > most_bytes)
-                {
-                    return Err(format!(
-                        "shape {shape:?} has chunks of {chunk_shape:?}, expected fewer or smaller ones"
-                    ));
-                }
-                let chunks = dataset.chunks().map_err(|e| problem(&e))?;
-                let chunks = chunks.into_iter().map(|chunk| StoredChunk {
-                    start: chunk.offset,
-                    address: chunk.address,
-                    size: chunk.storage_size,
-                    mask: chunk.filter_mask,
-                });
-                let chunks: Vec<StoredChunk> = chunks.collect();
-                if let Some(empty) = empty_row(&shape, &chunk_shape, &chunks) {
-                    fill = fill_of(dataset, &shape, empty, size)?;
-                }
+            Layout::Chunked { chunk_shape, index } => {
+                check_chunks(&shape, &chunk_shape, size, most_bytes)?;
+                let chunks = stored_chunks(contents, array, &dataset, (&chunk_shape, index))?;
                 (chunk_shape, Place::Chunks(chunks))
             }
-            _ => {
-                fill = fill_of(dataset, &shape, 0, size)?;
-                (divided(&shape, size), Place::Nowhere)
-            }
+            _ => (divided(&shape, size), Place::Nowhere),
         };
         let order = (0..shape.len()).collect();
-        let (file, path) = (Arc::clone(&contents.bytes), array.path.clone());
-        Ok(Self { file, path, shape, dtype, endian, sides, order, place, filters, fill })
+        let file = Arc::clone(&contents.bytes);
+        Ok(Self { file, shape, dtype, endian, sides, order, place, filters, fill })
     }
 
-    fn bytes_of_chunk(&self) -> u64 {
+    pub(super) fn bytes_of_chunk(&self) -> u64 {
         self.sides.iter().fold(self.dtype.num_bytes() as u64, |n, side| n.saturating_mul(*side))
     }
 
-    /// The chunks that are stored and that `is_wanted` by their first number.
-    pub(super) fn chunks(&self, is_wanted: impl Fn(&[u64]) -> bool) -> Vec<StoredChunk> {
+    /// The byte of the file from which on all numbers lie one after the other.
+    pub(super) fn offset(&self) -> Option<u64> {
+        match self.place {
+            Place::At(address) => Some(address),
+            _ => None,
+        }
+    }
+
+    /// The first numbers of the chunks that have numbers of these ranges along each axis.
+    pub(super) fn starts(&self, ranges: &[Range<u64>]) -> impl Iterator<Item = Vec<u64>> {
+        let counts: Vec<_> =
+            ranges.iter().zip(&self.sides).map(|(range, side)| covering(range, *side)).collect();
+        let first: Vec<u64> = counts.iter().map(|range| range.start).collect();
+        let mut next = Some(first).filter(|_| !counts.iter().any(Range::is_empty));
+        std::iter::from_fn(move || {
+            let mut index = next.take()?;
+            let start = index.iter().zip(&self.sides).map(|(i, side)| i * side).collect();
+            next = next_index(&mut index, &counts).then_some(index);
+            Some(start)
+        })
+    }
+
+    /// The chunk whose first number is `start`, if it is stored.
+    pub(super) fn chunk(&self, start: &[u64]) -> Option<StoredChunk> {
         let at = match &self.place {
-            Place::Chunks(chunks) => return chunks.iter().filter(|c| is_wanted(&c.start)).cloned().collect(),
-            Place::Nowhere => return Vec::new(),
+            Place::Chunks(chunks) => {
+                let found = chunks.binary_search_by(|chunk| chunk.start[..].cmp(start));
+                return found.ok().map(|i| chunks[i].clone());
+            }
+            Place::Nowhere => return None,
             Place::Here(_) => 0,
             Place::At(address) => *address,
         };
-        let size = self.dtype.num_bytes() as u64;
-        let mut strides = vec![size; self.shape.len()];
-        for axis in (1..self.shape.len()).rev() {
-            strides[axis - 1] = strides[axis].saturating_mul(self.shape[axis]);
-        }
+        let strides = strides(&self.shape, self.dtype.num_bytes() as u64);
         let end = at.saturating_add(strides[0].saturating_mul(self.shape[0]));
-        let counts: Vec<_> =
-            self.shape.iter().zip(&self.sides).map(|(n, side)| 0..n.div_ceil(*side)).collect();
-        let mut index = vec![0; counts.len()];
-        let mut found = Vec::new();
-        loop {
-            let start: Vec<u64> = index.iter().zip(&self.sides).map(|(i, side)| i * side).collect();
-            if is_wanted(&start) {
-                let offset = start
-                    .iter()
-                    .zip(&strides)
-                    .fold(at, |sum, (i, n)| sum.saturating_add(i.saturating_mul(*n)));
-                let size = self.bytes_of_chunk().min(end.saturating_sub(offset));
-                found.push(StoredChunk { start, address: offset, size, mask: 0 });
-            }
-            if !next_index(&mut index, &counts) {
-                return found;
-            }
-        }
+        let steps = start.iter().zip(&strides);
+        let address = steps.fold(at, |sum, (i, n)| sum.saturating_add(i.saturating_mul(*n)));
+        let size = self.bytes_of_chunk().min(end.saturating_sub(address));
+        Some(StoredChunk { start: start.to_vec(), address, size, mask: 0 })
     }
 
     /// The numbers of a chunk, as bytes.
@@ -161,54 +152,156 @@ impl Storage {
         Ok(bytes)
     }
 
-    /// All numbers of a short array with one axis or two, the last one fastest.
-    pub(super) fn all_numbers(&self) -> Result<Vec<f64>, String> {
-        let shape = (self.shape.len() <= 2).then_some(&self.shape[..]);
-        let count = shape.and_then(|shape| shape.iter().try_fold(1u64, |n, side| n.checked_mul(*side)));
-        let count = count.filter(|n| *n <= MAX_NUMBERS).ok_or("it has more axes, or is long")?;
-        let mut all = self.fill.repeat(count as usize);
-        for chunk in self.chunks(|start| start.len() == self.shape.len()) {
+    /// The numbers of these ranges along each axis, which are few, the last axis fastest.
+    pub(super) fn numbers(&self, ranges: &[Range<u64>]) -> Result<Vec<f64>, String> {
+        let sizes: Vec<u64> = ranges.iter().map(|range| range.end.saturating_sub(range.start)).collect();
+        let count = sizes.iter().try_fold(1u64, |n, size| n.checked_mul(*size));
+        let is_part = ranges.iter().zip(&self.shape).all(|(range, n)| range.end <= *n);
+        let count =
+            count.filter(|n| (1..=MAX_NUMBERS).contains(n) && is_part && ranges.len() == self.shape.len());
+        let count = count.ok_or("it has too many numbers")? as usize;
+        let size = self.dtype.num_bytes();
+        let mut all = self.fill.repeat(count);
+        let (to, from) = (strides(&sizes, size as u64), strides(&self.sides, size as u64));
+        for chunk in self.starts(ranges).filter_map(|start| self.chunk(&start)) {
             let bytes = self.bytes(&chunk)?;
-            place_chunk(&mut all, &self.shape, (&chunk.start, &self.sides), &bytes, self.dtype.num_bytes());
+            let part = ranges.iter().zip(chunk.start.iter().zip(&self.sides));
+            let part: Vec<Range<u64>> = part
+                .map(|(range, (start, side))| {
+                    range.start.max(*start)..range.end.min(start.saturating_add(*side))
+                })
+                .collect();
+            let mut index: Vec<u64> = part.iter().map(|range| range.start).collect();
+            loop {
+                let place = |strides: &[u64], first: &mut dyn Iterator<Item = u64>| -> usize {
+                    index
+                        .iter()
+                        .zip(first)
+                        .zip(strides)
+                        .map(|((i, first), n)| ((i - first) * n) as usize)
+                        .sum()
+                };
+                let at = place(&from, &mut chunk.start.iter().copied());
+                let number = bytes.get(at..at + size).ok_or("a chunk is short")?;
+                let at = place(&to, &mut ranges.iter().map(|range| range.start));
+                all[at..at + size].copy_from_slice(number);
+                if !next_index(&mut index, &part) {
+                    break;
+                }
+            }
         }
         Ok(numbers_from_bytes(&all, self.dtype, self.endian))
     }
+
+    /// All numbers of a short array.
+    pub(super) fn all_numbers(&self) -> Result<Vec<f64>, String> {
+        self.numbers(&self.shape.iter().map(|n| 0..*n).collect::<Vec<_>>())
+    }
 }
 
-/// The filters of an array and its layout, if both can be read.
-pub(super) fn check(array: &Listed) -> Result<(Vec<Codec>, Layout), String> {
-    let dataset = &array.dataset;
-    let size = array.kind.clone()?.0.num_bytes();
-    if array.shape.is_empty() || array.shape.contains(&0) {
-        return Err(format!("{} has no numbers", array.description()));
+impl StorageForm {
+    /// How an array is stored, if it can be read.
+    pub(super) fn of(contents: &ArrayFile, array: &Listed) -> Result<Self, String> {
+        let size = array.kind.clone()?.0.num_bytes();
+        if array.shape.is_empty() || array.shape.contains(&0) {
+            return Err(format!("{} has no numbers", array.description()));
+        }
+        let (dataset, layout) = layout(contents, array)?;
+        if layout == Layout::Virtual {
+            return Err(format!(
+                "{} is virtual: its numbers are in other files or arrays, expected it to have them",
+                array.description()
+            ));
+        }
+        if has_external_files(&contents.objects, array.at) {
+            return Err(format!(
+                "{} has its numbers in external files, expected it to have them",
+                array.description()
+            ));
+        }
+        let filters = dataset.filter_pipeline();
+        if filters.len() != dataset.filters().len() || filters.len() > MAX_FILTERS {
+            return Err("its filters cannot be read".into());
+        }
+        let codec = |filter: &Filter| {
+            codec(filter, size).map_err(|name| format!("{} is packed by {name}, expected deflate, shuffle, Fletcher-32, LZF, LZ4, zstd, blosc or bitshuffle; `h5repack -f GZIP=4` packs it anew", array.description()))
+        };
+        let filters = filters.iter().map(codec).collect::<Result<_, _>>()?;
+        Ok(Self { dataset, filters, layout })
     }
-    let layout = dataset.layout().map_err(|e| match e {
-        Error::Format(hdf5_pure::FormatError::InvalidLayoutVersion(version)) => format!(
-            "{} is stored as only new versions of HDF5 do (layout {version}), expected libver=\"v114\" or an earlier one",
-            array.description()
-        ),
-        e => problem(&e),
-    })?;
-    if matches!(layout, Layout::Chunked { index: ChunkIndex::BTreeV2, .. }) {
-        return Err(format!(
-            "{} may grow along several axes (B-tree of version 2), expected one; `h5repack` with `--high=1` stores it anew",
-            array.description()
-        ));
+}
+
+/// The layout of an array, told in a version that the reader of metadata knows.
+fn layout(contents: &ArrayFile, array: &Listed) -> Result<(Dataset, Layout), String> {
+    match array.dataset.layout() {
+        Ok(layout) => Ok((array.dataset.clone(), layout)),
+        Err(Error::Format(hdf5_pure::FormatError::InvalidLayoutVersion(_))) => {
+            let size = array.kind.as_ref().map_or(0, |kind| kind.0.num_bytes() as u64);
+            let num_bytes = array.shape.iter().fold(size, |n, side| n.saturating_mul(*side));
+            tell_layout(&contents.objects, array.at, num_bytes)?;
+            let dataset = contents.array(&array.path)?.dataset;
+            let layout = dataset.layout().map_err(|e| problem(&e))?;
+            Ok((dataset, layout))
+        }
+        Err(e) => Err(problem(&e)),
     }
-    if layout == Layout::Virtual {
-        return Err(format!(
-            "{} is virtual: its numbers are in other files or arrays, expected it to have them",
-            array.description()
-        ));
+}
+
+/// Refuses chunks of more than `most_bytes`, and too many of them.
+fn check_chunks(shape: &[u64], sides: &[u64], size: u64, most_bytes: u64) -> Result<(), String> {
+    let num = sides.iter().zip(shape).try_fold(1u64, |n, (side, length)| {
+        let along = length.checked_div(*side)?.checked_add(1)?;
+        n.checked_mul(along)
+    });
+    let bytes = sides.iter().try_fold(size, |n, side| n.checked_mul(*side));
+    if sides.len() != shape.len()
+        || num.is_none_or(|n| n > 2 * MAX_CHUNKS)
+        || bytes.is_none_or(|bytes| bytes > most_bytes)
+    {
+        return Err(format!("shape {shape:?} has chunks of {sides:?}, expected fewer or smaller ones"));
     }
-    let filters = dataset.filter_pipeline();
-    if filters.len() != dataset.filters().len() || filters.len() > MAX_FILTERS {
-        return Err("its filters cannot be read".into());
-    }
-    let codec = |filter: &Filter| {
-        codec(filter, size).map_err(|name| format!("{} is packed by {name}, expected deflate, shuffle, Fletcher-32, LZF, LZ4, zstd or blosc; `h5repack -f GZIP=4` packs it anew", array.description()))
+    Ok(())
+}
+
+/// The chunks of an array with these sides and this index, in the order of their first numbers.
+fn stored_chunks(
+    contents: &ArrayFile,
+    array: &Listed,
+    dataset: &Dataset,
+    (sides, index): (&[u64], ChunkIndex),
+) -> Result<Vec<StoredChunk>, String> {
+    let size = array.kind.as_ref().map_or(1, |kind| kind.0.num_bytes() as u64);
+    let chunk_bytes = sides.iter().fold(size, |n, side| n.saturating_mul(*side));
+    let mut chunks = if index == ChunkIndex::BTreeV2 {
+        chunks_in_tree(&contents.objects, array.at, sides, chunk_bytes)?
+    } else {
+        let stored = |chunk: hdf5_pure::Chunk| StoredChunk {
+            start: chunk.offset,
+            address: chunk.address,
+            size: chunk.storage_size,
+            mask: chunk.filter_mask,
+        };
+        dataset.chunks().map_err(|e| problem(&e))?.into_iter().map(stored).collect()
     };
-    Ok((filters.iter().map(codec).collect::<Result<_, _>>()?, layout))
+    if has_plain_edges(&contents.objects, array.at) {
+        let ends = |chunk: &StoredChunk| {
+            let mut axes = chunk.start.iter().zip(sides).zip(&array.shape);
+            axes.any(|((start, side), n)| start.saturating_add(*side) > *n)
+        };
+        chunks.iter_mut().filter(|chunk| ends(chunk)).for_each(|chunk| chunk.mask = u32::MAX);
+    }
+    chunks.retain(|chunk| chunk.start.len() == sides.len());
+    chunks.sort_unstable_by(|a, b| a.start.cmp(&b.start));
+    Ok(chunks)
+}
+
+/// Bytes from a number to the next along each axis of a box.
+fn strides(sizes: &[u64], bytes_per_number: u64) -> Vec<u64> {
+    let mut strides = vec![bytes_per_number; sizes.len()];
+    for axis in (1..sizes.len()).rev() {
+        strides[axis - 1] = strides[axis].saturating_mul(sizes[axis]);
+    }
+    strides
 }
 
 /// How a filter packs; the error is its name.
@@ -220,13 +313,23 @@ fn codec(filter: &Filter, size: usize) -> Result<Codec, String> {
         32_000 => Codec::Lzf,
         32_001 => Codec::Blosc,
         32_004 => Codec::Lz4Blocks,
+        32_008 => {
+            let number = |i: usize| filter.client_data.get(i).copied().unwrap_or(0);
+            let packing = match number(4) {
+                0 => BitPacking::None,
+                2 => BitPacking::Lz4,
+                3 => BitPacking::Zstd,
+                other => return Err(format!("bitshuffle of kind {other} (filter 32008)")),
+            };
+            let size = if number(2) > 0 { number(2) } else { size as u32 };
+            Codec::BitShuffle { size, block: number(3), packing }
+        }
         32_015 => Codec::Zstd,
         id => {
             let name = match id {
                 4 => "szip",
                 5 => "N-bit",
                 6 => "scale-offset",
-                32_008 => "bitshuffle",
                 32_013 => "ZFP",
                 32_017 => "SZ",
                 32_026 => "blosc2",
@@ -248,29 +351,6 @@ fn divided(shape: &[u64], bytes_per_number: u64) -> Vec<u64> {
     sides
 }
 
-/// A number along the slowest axis at which no chunk is stored.
-fn empty_row(shape: &[u64], sides: &[u64], chunks: &[StoredChunk]) -> Option<u64> {
-    let num_rows = shape[0].div_ceil(sides[0]);
-    let mut is_there = vec![false; num_rows as usize];
-    for chunk in chunks {
-        if let Some(there) = is_there.get_mut((chunk.start[0] / sides[0]) as usize) {
-            *there = true;
-        }
-    }
-    is_there.iter().position(|there| !there).map(|i| i as u64 * sides[0])
-}
-
-/// The fill value, which the reader of metadata tells only as the numbers of a row that is not stored.
-fn fill_of(dataset: &Dataset, shape: &[u64], at: u64, size: u64) -> Result<Vec<u8>, String> {
-    let bytes = shape[1..].iter().try_fold(size, |n, side| n.checked_mul(*side));
-    if bytes.is_none_or(|bytes| bytes > MAX_ROW_BYTES) {
-        return Ok(vec![0; size as usize]);
-    }
-    let mut row = row(dataset, shape, at, 1, size)?;
-    row.truncate(size as usize);
-    Ok(row)
-}
-
 /// The numbers of rows as bytes, from the reader of metadata.
 fn row(dataset: &Dataset, shape: &[u64], at: u64, num: u64, size: u64) -> Result<Vec<u8>, String> {
     let expected =
@@ -290,7 +370,7 @@ const FILTER_BYTES: u64 = 1 << 16;
 const MAX_FILTERS: usize = 8;
 /// Bytes to read at a time.
 const READ_BYTES: u64 = 4 << 20;
-/// Most bytes of a row that is read for its fill value, or of numbers in the metadata.
+/// Most bytes of numbers in the metadata.
 const MAX_ROW_BYTES: u64 = 64 << 20;
-/// Most numbers of a short array.
+/// Most numbers that are read as coordinates and the like.
 const MAX_NUMBERS: u64 = 1 << 22;

@@ -8,7 +8,7 @@ use std::io::{BufReader, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use self::header::{ClassicHeader, ClassicVariable};
-use crate::cf::{self, Variable, Variables, VolumeCandidate};
+use crate::cf::{self, Standing, Variable, Variables, VolumeCandidate};
 use crate::collector::Collector;
 use crate::dtype::{Dtype, Endian, numbers_from_bytes};
 use crate::error::{FormatError, io_error, malformed, not_there, one_line, shown};
@@ -50,8 +50,8 @@ impl NetcdfFile {
         let choice = |i: usize| {
             let (shape, dtype) = (header.shape(&header.variables[i]), header.variables[i].dtype?);
             let sizes = cf::num_in_space(&shape, &variables.axes_of(i, None, None))?;
-            let is_auxiliary = variables.is_auxiliary(i);
-            (!shape.contains(&0)).then_some((VolumeCandidate { sizes, is_auxiliary }, (i, dtype)))
+            let standing = Standing::of(variables.is_auxiliary(i));
+            (!shape.contains(&0)).then_some((VolumeCandidate { sizes, standing }, (i, dtype)))
         };
         let (choices, found): (Vec<VolumeCandidate>, Vec<(usize, Dtype)>) =
             (0..header.variables.len()).filter_map(choice).unzip();

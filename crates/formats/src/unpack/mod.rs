@@ -1,6 +1,7 @@
 //! The bytes of chunks: the codecs of Zarr and the filters of HDF5. Decoding gives no more bytes than it may. Only blosc
 //! is also written.
 
+mod bitshuffle;
 pub(crate) mod blosc;
 mod lzf;
 mod shuffle;
@@ -25,10 +26,25 @@ pub(crate) enum Codec {
     Lzf,
     /// All first bytes of numbers of so many bytes, then all second ones.
     Shuffle(usize),
+    /// The filter 32008 of HDF5: all first bits of numbers of `size` bytes, then all second ones, in blocks of so many
+    /// numbers, each of which may be packed. Zero is the usual block.
+    BitShuffle {
+        size: u32,
+        block: u32,
+        packing: BitPacking,
+    },
     /// A checksum of four bytes at the end, which is verified.
     Crc32c,
     /// Another such checksum, of HDF5.
     Fletcher32,
+}
+
+/// How the blocks of a bit shuffle are packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BitPacking {
+    None,
+    Lz4,
+    Zstd,
 }
 
 impl Codec {
@@ -51,6 +67,9 @@ impl Codec {
             Self::Lz4Blocks => unpack_lz4_blocks(bytes, most, &mut out)?,
             Self::Lzf => lzf::decode(bytes, most, &mut out)?,
             Self::Shuffle(size) => out = shuffle::unshuffled(bytes, size.max(1)),
+            Self::BitShuffle { size, block, packing } => {
+                bitshuffle::decode(bytes, most, (size as usize, block as usize), packing, &mut out)?;
+            }
             Self::Crc32c => {
                 let (data, sum) = bytes.split_last_chunk().ok_or(EARLY)?;
                 out = checked(data, crc32c(data) == u32::from_le_bytes(*sum))?;

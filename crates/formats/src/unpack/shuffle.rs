@@ -28,15 +28,27 @@ pub(super) fn unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
 pub(super) fn bit_unshuffled(block: &[u8], type_size: usize) -> Vec<u8> {
     let n = block.len() / type_size / 8 * 8;
     let mut out = block.to_vec();
-    out[..n * type_size].fill(0);
-    for (row, plane) in
-        block.chunks_exact((n / 8).max(1)).take(if n > 0 { type_size * 8 } else { 0 }).enumerate()
-    {
-        let (byte, bit) = (row / 8, row % 8);
-        for i in 0..n {
-            let value = plane[i / 8] >> (i % 8) & 1;
-            out[i * type_size + byte] |= value << bit;
+    // Each byte of a plane has a bit of eight numbers.
+    let (planes, stride) = (&block[..n * type_size], n / 8);
+    for byte in 0..type_size {
+        for group in 0..stride {
+            let rows = std::array::from_fn(|bit| planes[(byte * 8 + bit) * stride + group]);
+            let numbers = transposed(u64::from_le_bytes(rows)).to_le_bytes();
+            for (i, value) in numbers.into_iter().enumerate() {
+                out[(group * 8 + i) * type_size + byte] = value;
+            }
         }
     }
     out
+}
+
+/// Exchanges rows and columns of 8 × 8 bits, whose rows are bytes (Hacker's Delight, 7-3).
+fn transposed(mut x: u64) -> u64 {
+    for (shift, mask) in
+        [(7, 0x00aa_00aa_00aa_00aa), (14, 0x0000_cccc_0000_cccc), (28, 0x0000_0000_f0f0_f0f0)]
+    {
+        let moved = (x ^ x >> shift) & mask;
+        x ^= moved ^ moved << shift;
+    }
+    x
 }

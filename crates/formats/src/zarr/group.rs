@@ -10,7 +10,7 @@ use super::array::Array;
 use super::chunks::short_numbers;
 use super::json;
 use super::store::Store;
-use crate::cf::{self, Coordinates, Variable, Variables, VolumeCandidate, signed_as_told};
+use crate::cf::{self, Coordinates, Standing, Variable, Variables, VolumeCandidate, signed_as_told};
 use crate::error::{FormatError, malformed, not_there, one_line, quoted};
 use crate::plan::Plan;
 use crate::source::OpenOptions;
@@ -117,7 +117,8 @@ impl ArrayGroup {
         let axes = |i: usize| variables.axes_of(i, None, None);
         let choice = |i: usize| {
             let sizes = cf::num_in_space(&all[i].array.shape, &axes(i))?;
-            Some((VolumeCandidate { sizes, is_auxiliary: variables.is_auxiliary(i) }, i))
+            let standing = Standing::of(variables.is_auxiliary(i));
+            Some((VolumeCandidate { sizes, standing }, i))
         };
         let (choices, found): (Vec<VolumeCandidate>, Vec<usize>) = (0..all.len()).filter_map(choice).unzip();
         let shown = VolumeCandidate::shown(&choices);
