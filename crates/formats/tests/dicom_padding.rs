@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
+#[allow(dead_code, reason = "other tests use the rest")]
 #[path = "support/dicom.rs"]
 mod dicom;
 #[path = "support/paging.rs"]

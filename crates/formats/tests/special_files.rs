@@ -95,9 +95,9 @@ fn data_files_and_chunks_are_plain_files() {
                 owner.display()
             );
             if kind == "a folder" {
-                fs::remove_dir(&data).unwrap()
+                fs::remove_dir(&data).unwrap();
             } else {
-                fs::remove_file(&data).unwrap()
+                fs::remove_file(&data).unwrap();
             }
             fs::write(&data, plain).unwrap();
         }

@@ -36,7 +36,6 @@ use crate::panels::background::Background;
 use crate::panels::known_files::KnownFile;
 use crate::panels::style::{self, name_window, named, pane_at};
 use crate::panels::system_dialog::{Picked, SystemDialog, Wanted};
-use crate::panels::text::sentence;
 use crate::view::frame_source::FrameSource;
 use crate::view::{BoxedSource, Waker};
 

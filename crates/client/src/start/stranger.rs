@@ -6,7 +6,7 @@ use isinglass_formats::{ReadState, SavedVolume};
 use isinglass_net::Link;
 
 use super::page::Act;
-use crate::panels::style::{self, named, pane_at};
+use crate::panels::style::{named, pane_at};
 use crate::panels::text::sentence;
 
 /// A state that waits for an answer.

@@ -110,7 +110,8 @@ impl FileNames {
             sizes.iter().product::<usize>() == found.rows.len() && found.series.len() == 1
         };
         let has_words = found.channels.len() > 1 && found.channels.len() <= MOST_WORDS;
-        if !is_told && !(has_words && is_full()) {
+        let is_believed = is_told || (has_words && is_full());
+        if !is_believed {
             return Err((varied.len() > 1).then(|| PLAIN_ORDER.to_owned()));
         }
         Ok(found)

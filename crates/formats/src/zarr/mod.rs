@@ -61,7 +61,7 @@ struct ArrayPyramid {
 /// What tells of the axes of an image.
 enum ImageLayout {
     /// The metadata of its levels, and what the numbers of their arrays mean.
-    Levels(Multiscale, NumberMeaning),
+    Levels(Box<Multiscale>, NumberMeaning),
     /// The coordinates of its one array.
     Array(Box<Plan>),
 }
@@ -212,7 +212,8 @@ impl ZarrImage {
             None => multiscale.num_channels(&arrays[0].shape).min(MAX_CHANNELS as u64),
         };
         let level = level_to_show(path, &dims, num_channels, arrays[0].dtype, options)?;
-        let layout = ImageLayout::Levels(multiscale, NumberMeaning::of(&attributes, arrays[0].dtype));
+        let layout =
+            ImageLayout::Levels(Box::new(multiscale), NumberMeaning::of(&attributes, arrays[0].dtype));
         let pyramid = Arc::new(ArrayPyramid { layout, arrays, store });
         let mut plan = pyramid.plan(level).map_err(malformed(path, "OME-Zarr"))?;
         warn_of_level(&mut plan, options);

@@ -12,7 +12,7 @@ mod start;
 
 use std::sync::Arc;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use isinglass_bench::progress::note;
 use isinglass_client::{RemoteServer, RemoteServers};
