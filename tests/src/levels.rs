@@ -72,7 +72,15 @@ pub fn coarser(volume: &Volume, factor: [u32; 3]) -> Volume {
         Voxels::F32(_) => Voxels::F32(all.map(|i| mean(i) as f32).collect()),
     };
     let spacing = volume.spacing() * Vec3::from_array(factor.map(|f| f as f32));
-    Volume::new(dims, spacing, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap()
+    let level = Volume::new(dims, spacing, voxels, (1.0, 0.0), VolumeInfo::default()).unwrap();
+    // A voxel of a level has nothing where the first voxel of its block has nothing.
+    let Some(gaps) = volume.gaps() else { return level };
+    let whole = volume.dims();
+    let is_gap = |i: u32| {
+        let [x, y, z] = [i % nx * factor[0], i / nx % ny * factor[1], i / nx / ny * factor[2]];
+        gaps.bytes[((z * whole[1] + y) * whole[0] + x) as usize]
+    };
+    level.with_gaps((0..nx * ny * nz).map(is_gap).collect())
 }
 
 /// The index of the finest level at which the first voxel of such means lies.

@@ -78,7 +78,9 @@ fn agree(whole: &Volume, levels: &Levels) {
         assert_eq!(Slice::of_pages(&known, &spec, ALWAYS), Some((flat.clone(), 0)), "{spec:?}");
         assert_eq!(Slice::of_pages(&full, &spec, ALWAYS), Some((flat.clone(), 0)), "{spec:?}: read");
         let (rough, level) = Slice::of_pages(&coarse, &spec, ALWAYS).unwrap();
-        assert_eq!((rough.size, usize::from(level) + 1), (flat.size, levels.volumes.len()));
+        // A slice beside the volume has no values of any level.
+        assert!(rough == flat || usize::from(level) + 1 == levels.volumes.len(), "{spec:?}: {level}");
+        assert_eq!(rough.size, flat.size);
         num_different += usize::from(rough != flat);
     }
     assert!(num_different > 6, "the control: a coarser level is another slice, {num_different}");
@@ -104,7 +106,9 @@ fn with_holes(volume: Volume, seed: u32) -> Volume {
         let [x, y, z] = [i % nx, i / nx % ny, i / nx / ny].map(|v| v as f32);
         let far = |a: f32, b: f32, c: f32, r: f32| (x - a).hypot(y - b).hypot(z - c) > r;
         let edge = if seed == 0 { 64.0 } else { 30.0 };
-        !far(edge, 40.0, 30.0, 9.0) || x > 118.0 || (x as u32 * 7 + y as u32 * 5 + z as u32 + seed) % 31 == 0
+        !far(edge, 40.0, 30.0, 9.0)
+            || x > 118.0
+            || (x as u32 * 7 + y as u32 * 5 + z as u32 + seed).is_multiple_of(31)
     };
     volume.with_gaps((0..nx * ny * nz).map(|i| u8::from(is_gap(i))).collect())
 }

@@ -220,7 +220,7 @@ fn with_holes(volume: Volume, seed: u32) -> Volume {
         let near = (x as f32 - 64.0).hypot(y as f32 - 40.0).hypot(z as f32 - 30.0) < 9.0;
         // Some pages have nothing in one channel, and others in the other.
         let is_empty = if seed == 0 { x > 61 && x < 132 } else { x < 70 };
-        near || is_empty || (x * 7 + y * 5 + z + seed) % 31 == 0
+        near || is_empty || (x * 7 + y * 5 + z + seed).is_multiple_of(31)
     };
     volume.with_gaps((0..nx * ny * nz).map(|i| u8::from(is_gap(i))).collect())
 }

@@ -142,7 +142,7 @@ fn numbers_within_the_range_of_padding_are_nothing() {
         Padded { is_inverted: true, is_signed: false, padding: Some(65_535), limit: Some(63_000), ..SIGNED };
     let list_white = numbers(&unsigned);
     let expected: Vec<Option<f32>> =
-        list_white.iter().map(|x| (!(63_000..=65_535).contains(x)).then(|| 65_535.0 - *x as f32)).collect();
+        list_white.iter().map(|x| (!(63_000..=65_535).contains(x)).then_some(65_535.0 - *x as f32)).collect();
     assert_eq!(values(folder(&list_white, &kind).path()), expected);
     // The controls: a limit alone says nothing, and neither does another range.
     for kind in [

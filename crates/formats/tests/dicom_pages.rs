@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test stops where the ground it stands on is missing")]
 
+#[allow(dead_code, reason = "other tests use the rest")]
 #[path = "support/dicom.rs"]
 mod dicom;
 #[path = "support/paging.rs"]
@@ -159,11 +160,11 @@ fn times_and_parts_of_a_series_are_read_by_pages() {
 #[test]
 fn a_damaged_slice_is_an_error_of_its_pages() {
     let folder = series(Kind { syntax: RUN_LENGTHS, ..KIND });
-    let paged = open_paged(text(folder.path()), &OpenOptions::default()).unwrap();
-    // Slice 69 is in the last page only. It loses its end.
+    // Slice 69 is in the last page only, and not in the base. It loses its end.
     let path = folder.path().join(format!("{:03}_0", 69 * 37 % 101));
     let whole = fs::read(&path).unwrap();
     fs::write(&path, &whole[..whole.len() - 500]).unwrap();
+    let paged = open_paged(text(folder.path()), &OpenOptions::default()).unwrap();
     let read = |z| paged.source.read(0, PageId { level: 0, at: [0, 0, z] });
     let found = read(1).unwrap_err();
     assert!(matches!(&found, PageError::Damaged(text) if text.lines().count() == 1), "{found}");

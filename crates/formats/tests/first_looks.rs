@@ -211,7 +211,7 @@ fn both_signs_are_seen_and_zero_is_clear() {
         let seen = |at: Vec3| beside(at, 12.0).min(beside(at, -12.0));
         assert_eq!(problem(volume, &transfer, seen), None, "{name}");
         let pixels = picture(volume, &transfer, Mode::Composite);
-        let num = |is: &dyn Fn(&[u8; 3]) -> bool| pixels.iter().filter(|p| is_lit(p) && is(*p)).count();
+        let num = |is: &dyn Fn(&[u8; 3]) -> bool| pixels.iter().filter(|p| is_lit(p) && is(p)).count();
         let (red, blue) = (num(&|p| p[0] > p[2]), num(&|p| p[2] > p[0]));
         assert!(red > 100 && blue > 100, "{name}: {red} red and {blue} blue pixels");
     }
@@ -225,7 +225,7 @@ fn patient_axes_and_millimetres_are_of_a_body() {
     // Few bright voxels as in vessels, which look like those of a microscope.
     let head = |info: VolumeInfo, spacing: f32| {
         let value = |i: usize, at: Vec3| {
-            let bright = if i % 1501 == 0 { 1000.0 } else { 0.0 };
+            let bright = if i.is_multiple_of(1501) { 1000.0 } else { 0.0 };
             60.0 * ball(at) * (1.0 + 0.3 * (0.7 * at.x).sin() * (0.5 * at.y).sin()) + bright
         };
         let volume = volume_with(Type::U16, info.clone(), value);

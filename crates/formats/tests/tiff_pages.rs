@@ -204,7 +204,6 @@ fn what_is_damaged_or_too_large_is_told() {
     let (pages, _) = pages(0..DEPTH, 1, 1, 1);
     let layout = Layout { packing: 8, tile: Some([80, 80]), ..PLAIN };
     let path = write(folder.path(), &pages, layout);
-    let paged = open_paged(text(&path), &OpenOptions::default()).unwrap();
     let good = fs::read(&path).unwrap();
     let mut bad = good.clone();
     // The header of zlib in the tile of slice 1, which the base has not read. It follows all of slice 0.
@@ -212,6 +211,7 @@ fn what_is_damaged_or_too_large_is_told() {
     let at = first + first % 2 + 2;
     bad[at..at + 4].fill(0xff);
     fs::write(&path, &bad).unwrap();
+    let paged = open_paged(text(&path), &OpenOptions::default()).unwrap();
     let read = |at| paged.source.read(0, PageId { level: 0, at });
     let found = read([0; 3]).unwrap_err();
     let place = format!("strip or tile at byte {at}");

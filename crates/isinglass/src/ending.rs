@@ -76,7 +76,7 @@ mod signals {
                 return;
             }
         }
-        std::future::pending().await
+        std::future::pending::<()>().await;
     }
 
     /// Whether this process ignores a signal, as far as Linux tells.

@@ -49,7 +49,10 @@ fn start(bench: &Bench, source: &str) -> Child {
     command.env("TMPDIR", bench.path("tmp")).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
     let patience = Instant::now() + Duration::from_secs(60);
-    while scratch_of(&bench.path("tmp")).is_empty() && child.try_wait().unwrap().is_none() {
+    let is_there = || {
+        scratch_of(&bench.path("tmp")).iter().any(|name| bench.path("tmp").join(name).join("lock").exists())
+    };
+    while !is_there() && child.try_wait().unwrap().is_none() {
         assert!(Instant::now() < patience, "no scratch folder");
         std::thread::sleep(Duration::from_millis(1));
     }
