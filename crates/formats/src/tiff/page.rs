@@ -181,10 +181,9 @@ pub(super) fn decoder(path: &Path) -> Result<PageDecoder, FormatError> {
         return Err(malformed(path, "TIFF")(problem));
     }
     let mut limits = Limits::default();
-    // A list of strips is not longer than its file.
-    // A number of two bytes, such as one of a table of colours, takes up to 32 in a list.
+    // A list is not longer than its file. In memory, a number of two bytes takes 32, as in a table of colours.
     limits.ifd_value_size = length.saturating_mul(16).min(MAX_LIST_BYTES) as usize;
-    limits.decoding_buffer_size = length.min(MAX_LIST_BYTES) as usize;
+    limits.decoding_buffer_size = limits.ifd_value_size;
     let decoder = Decoder::new(BufReader::new(file)).map_err(|e| tiff_error(path, 0, e))?;
     Ok(decoder.with_limits(limits))
 }
