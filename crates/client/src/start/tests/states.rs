@@ -164,8 +164,8 @@ fn a_state_calls_no_stranger_before_the_person_says_so() {
     };
     let sources = [
         (format!("isinglass://{server}/#{token}"), None, server),
-        (format!("http://{web}/a.zarr"), None, web),
         ("film.nrrd".into(), Some(format!("http://{web}/labels.zarr")), web),
+        (format!("http://{web}/a.zarr"), None, web),
     ];
     for (source, labels, host) in sources {
         let mut stage = Stage::new(Servers::default(), |_| Recent::default());
@@ -173,12 +173,13 @@ fn a_state_calls_no_stranger_before_the_person_says_so() {
         let mut state = state(if labels.is_some() { file.to_str() } else { Some(&source) });
         state.volume.as_mut().unwrap().labels = labels;
         let path = stage.write("seen.toml", &state);
-        for button in ["Cancel", &format!("Call {host}")] {
+        // A request that is tried again would be taken for one of the next source.
+        let answers = ["Cancel".to_owned(), format!("Call {host}")];
+        for button in answers.iter().take(if has_labels { 1 } else { 2 }) {
             assert!(!is_called(), "{source}");
             stage.drop_file(path.clone());
             stage.answer(button);
-            let is_opening = stage.window.state().opening.is_some();
-            assert!(has_labels || is_opening == (button != "Cancel"), "{source}");
+            assert_eq!(stage.window.state().opening.is_some(), button != "Cancel", "{source}");
             if button == "Cancel" {
                 // Long enough for a packet on loopback.
                 std::thread::sleep(Duration::from_millis(200));
