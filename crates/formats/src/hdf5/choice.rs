@@ -18,7 +18,7 @@ use crate::plan::Plan;
 use crate::warning::{Warning, WarningKind};
 
 /// What is shown of a file.
-pub(super) enum Found {
+pub(super) enum ArrayChoice {
     /// The plan of an array, and its path.
     Array(Box<Plan>, String),
     Image(Box<ArrayImage>),
@@ -52,11 +52,11 @@ pub(super) fn choose(
     path: &Path,
     inside: &str,
     choice: &Choice,
-) -> Result<Found, FormatError> {
+) -> Result<ArrayChoice, FormatError> {
     if inside == "/" {
         if let Some(image) = imaris::image(contents) {
             let image = image.map_err(malformed(path, "Imaris"))?;
-            return Ok(Found::Image(Box::new(image)));
+            return Ok(ArrayChoice::Image(Box::new(image)));
         }
         let mut images = bdv::images(contents, choice.xml);
         if images.is_empty() {
@@ -77,7 +77,7 @@ fn choose_image(
     mut images: Vec<(String, ArrayImage)>,
     path: &Path,
     series: Option<u32>,
-) -> Result<Found, FormatError> {
+) -> Result<ArrayChoice, FormatError> {
     let largest = (0..images.len()).rev().max_by_key(|&i| images[i].1.num_voxels()).unwrap_or(0);
     let index = series.map_or(largest, |i| i as usize);
     let names: Vec<String> = images.iter().map(|(name, _)| name.clone()).collect();
@@ -86,12 +86,12 @@ fn choose_image(
     }
     let image = images.swap_remove(index).1;
     if names.len() == 1 {
-        return Ok(Found::Image(Box::new(image)));
+        return Ok(ArrayChoice::Image(Box::new(image)));
     }
     let warning = series.is_none().then(|| {
         format!("the file has {} images, of which the largest is shown: {}", names.len(), names[index])
     });
-    Ok(Found::Image(Box::new(image.with_series(names, largest, warning))))
+    Ok(ArrayChoice::Image(Box::new(image.with_series(names, largest, warning))))
 }
 
 /// Chooses an array at `inside` or below it.
@@ -100,7 +100,7 @@ fn choose_array(
     path: &Path,
     inside: &str,
     choice: &Choice,
-) -> Result<Found, FormatError> {
+) -> Result<ArrayChoice, FormatError> {
     let bad = malformed(path, FORMAT);
     let mut own = contents.inventory(inside, path, choice.cancel)?;
     dialects::tell(contents, &mut own.arrays);
@@ -138,13 +138,13 @@ fn choose_array(
     let usual = usual as u32;
     if let Some(array) = outside {
         let (file, inside) = (array.file.clone(), array.inside.clone());
-        return Ok(Found::Outside { file, inside, series, usual, warnings });
+        return Ok(ArrayChoice::Outside { file, inside, series, usual, warnings });
     }
     let mut plan = array_plan::plan(contents, listed, &scales).map_err(bad)?;
     StorageForm::of(contents, listed).map_err(bad)?;
     plan.warnings.extend(warnings);
     (plan.series, plan.usual_series) = (series, usual);
-    Ok(Found::Array(Box::new(plan), listed.path.clone()))
+    Ok(ArrayChoice::Array(Box::new(plan), listed.path.clone()))
 }
 
 /// The arrays that may be volumes, by their paths.

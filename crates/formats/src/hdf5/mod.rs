@@ -34,7 +34,7 @@ use std::sync::atomic::Ordering;
 use rayon::prelude::*;
 
 use self::bdv_xml::BdvXml;
-use self::choice::{Choice, Found, choose};
+use self::choice::{ArrayChoice, Choice, choose};
 use self::contents::{ArrayFile, with_contents};
 use self::image::ArrayImage;
 use self::links::Place;
@@ -142,14 +142,14 @@ impl Hdf5File {
         let choice = Choice { series, home: HomeFolder::of_header(path, options), xml, cancel };
         let found = with_contents(file, path, |contents| choose(contents, path, inside, &choice))?;
         let (plan, image) = match found {
-            Found::Array(plan, name) => (*plan, ShownImage::Array(name)),
-            Found::Image(image) => {
+            ArrayChoice::Array(plan, name) => (*plan, ShownImage::Array(name)),
+            ArrayChoice::Image(image) => {
                 let level = image.level(path, options)?;
                 let mut plan = image.plan(level);
                 warn_of_level(&mut plan, options);
                 (plan, ShownImage::Image { image: Arc::new(*image), level })
             }
-            Found::Outside { file, inside, series, usual, warnings } => {
+            ArrayChoice::Outside { file, inside, series, usual, warnings } => {
                 if num_hops >= MAX_HOPS {
                     let problem = "links to other files lead in a circle";
                     return Err(malformed(path, contents::FORMAT)(problem.into()));

@@ -182,7 +182,7 @@ impl Choice {
                 Some(Counted::Time) => 2,
                 _ => continue,
             };
-            // Of several, the longer word tells more.
+            // The longest word tells most.
             if column.is_number && column.values.len() > 1 && key.len() + 1 > lengths[axis] {
                 (choice.axes[axis], lengths[axis]) = (Some(i), key.len() + 1);
             }

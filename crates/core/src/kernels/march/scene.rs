@@ -18,7 +18,7 @@ use crate::volume::{
 
 /// A volume that is ready to be marched, with bricks and a tabulated transfer function.
 ///
-/// Of a volume with several channels, a projection and surfaces show the chosen one, unless it has labels. Otherwise all
+/// A projection and surfaces show the chosen one of several channels, unless it has labels. Otherwise all
 /// visible channels are marched together: the first of them is `volume`, and `others` follow.
 #[derive(Clone, Debug)]
 pub struct Scene {
