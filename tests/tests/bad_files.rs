@@ -53,7 +53,7 @@ fn headers_that_are_wrong() {
         ("4 3 2", "4 3.5 2", "expected positive whole numbers"),
         ("4 3 2", "4 3 99999999999999999999", "expected positive whole numbers"),
         ("4 3 2", "4 3 4294967298", "axis 2 has 4294967298 voxels, expected 1 to 131072"),
-        ("4 3 2", "2048 2048 2048", "needs 8589934592 bytes"),
+        ("4 3 2", "2048 2048 2048", "needs 17179869184 bytes"),
         ("4 3 2", "4 3 3", "4×3×3 uint8 needs 36 bytes, found 24"),
         ("encoding: raw", "encoding: gzip\nspacings: 1 2", "field \"spacings\" has 2 entries, expected 3"),
         ("encoding: raw", "encoding: raw\nspacings: 1 0 1", "expected finite numbers above zero"),
@@ -127,7 +127,7 @@ fn files_that_are_no_volume() {
     }
     let small = OpenOptions { max_bytes: 1000, ..options };
     let message = open("builtin:cubus@16", &small).unwrap_err().to_string();
-    assert_eq!(message, "builtin:cubus@16: needs 4096 bytes of memory, expected at most 1000");
+    assert_eq!(message, "builtin:cubus@16: needs 8192 bytes of memory, expected at most 1000");
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn raw_files_that_do_not_fit_their_shape() {
         (RawShape { dims: [4, 3, 3], ..good }, "needs 72 bytes, found 48"),
         (RawShape { dims: [4, 0, 2], ..good }, "dimensions are [4, 0, 2], expected 1 to 2048"),
         (RawShape { dims: [u32::MAX; 3], ..good }, "expected 1 to 2048"),
-        (RawShape { dims: [2048; 3], ..good }, "needs 17179869184 bytes of memory, expected at most"),
+        (RawShape { dims: [2048; 3], ..good }, "needs 25769803776 bytes of memory, expected at most"),
         (RawShape { spacing: Vec3::new(1.0, -1.0, 1.0), ..good }, "expected three positive numbers"),
         (RawShape { spacing: Vec3::splat(f32::NAN), ..good }, "expected three positive numbers"),
     ] {

@@ -252,8 +252,8 @@ fn damaged_and_lying_pages_stay_coarse_and_it_is_never_called_exact() {
 #[test]
 fn with_little_memory_it_is_the_finest_that_fits() {
     let (whole, look) = subject();
-    // Room for some of the pages.
-    let shown = show(&whole, &look, |_, _| None, 90 * 2 * 69 * 69 * 69);
+    // Room for some of the pages, and less than all voxels take.
+    let shown = show(&whole, &look, |_, _| None, 26 * 2 * 69 * 69 * 69);
     assert_eq!(shown.standing, Standing::Settled);
     let progress = shown.progress;
     assert!(progress.coarse_share > 0.0 && progress.coarse_share < 1.0, "{progress:?}");
@@ -268,7 +268,7 @@ fn slices_and_points_are_of_the_finest_level_whatever_is_shown() {
         let is_damaged = (page.level, page.at) == (0, [2, 2, 2]);
         is_damaged.then(|| Err(PageError::Damaged("a bad checksum".into())))
     };
-    let stage = stage(paged(&whole, script, 90 * 2 * 69 * 69 * 69), &look, None);
+    let stage = stage(paged(&whole, script, 26 * 2 * 69 * 69 * 69), &look, None);
     let client = stage.client();
     let across = |index| SliceSpec {
         plane: SlicePlane::Axis { axis: 2, index },

@@ -349,7 +349,7 @@ impl Plan {
             selected[0] = Steps::all(0..first.size);
         }
         let (channels, time) = (channels.start as u32..channels.end as u32, time as u32);
-        options.check_memory(path, memory.while_reading(channels.len() as u64))?;
+        options.check_memory(path, memory.needed(channels.len() as u64))?;
         Ok(Chosen { memory, grid, in_finest, channels, time, selected, num_voxels, in_file, warnings })
     }
 

@@ -256,7 +256,8 @@ pub(crate) fn open_source(
 
 fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
     let BuiltinFile { builtin, side, .. } = BuiltinFile::named(name)?;
-    options.check_memory(Path::new(&format!("builtin:{name}")), u64::from(side).pow(3))?;
+    // A byte of its value, and one of its brightness.
+    options.check_memory(Path::new(&format!("builtin:{name}")), 2 * u64::from(side).pow(3))?;
     Ok(builtin.volume(side))
 }
 

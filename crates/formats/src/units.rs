@@ -48,7 +48,23 @@ pub(crate) fn value_unit(name: &str) -> Option<String> {
     let name = name.trim();
     let is_none =
         ["", "none", "unknown", "relative", "gray value"].contains(&name.to_ascii_lowercase().as_str());
-    (!is_none).then(|| isinglass_core::text::printable(name, MAX_UNIT_CHARS))
+    // The unit of a number alone is a number: `1`, or `0.001` for parts in a thousand.
+    let is_one = name.parse() == Ok(1.0);
+    let times = if name.parse::<f64>().is_ok() { "×" } else { "" };
+    (!is_none && !is_one).then(|| times.to_owned() + &isinglass_core::text::printable(name, MAX_UNIT_CHARS))
 }
 
 const MAX_UNIT_CHARS: usize = 24;
+
+#[cfg(test)]
+mod tests {
+    use super::value_unit;
+
+    #[test]
+    fn a_unit_that_is_a_number_is_a_factor() {
+        assert_eq!(value_unit("1"), None);
+        assert_eq!(value_unit(" none "), None);
+        assert_eq!(value_unit("1e-3").as_deref(), Some("×1e-3"));
+        assert_eq!(value_unit("degC").as_deref(), Some("degC"), "the control");
+    }
+}

@@ -38,13 +38,13 @@ pub(crate) fn next_address(from: &str, location: &str, is_storage: bool) -> Resu
     Err(refusal("expected an answer of its own; open that address if you trust it"))
 }
 
-struct Origin {
+struct WebOrigin {
     is_secure: bool,
     host: String,
     port: u16,
 }
 
-fn origin(uri: &Uri) -> Option<Origin> {
+fn origin(uri: &Uri) -> Option<WebOrigin> {
     let is_secure = match uri.scheme_str()? {
         scheme if scheme.eq_ignore_ascii_case("https") => true,
         scheme if scheme.eq_ignore_ascii_case("http") => false,
@@ -53,7 +53,7 @@ fn origin(uri: &Uri) -> Option<Origin> {
     // A name before an @ is a user's, and hides the host from a quick look.
     let authority = uri.authority().filter(|authority| !authority.as_str().contains('@'))?;
     let port = authority.port_u16().unwrap_or(if is_secure { 443 } else { 80 });
-    Some(Origin { is_secure, host: authority.host().to_ascii_lowercase(), port })
+    Some(WebOrigin { is_secure, host: authority.host().to_ascii_lowercase(), port })
 }
 
 /// The absolute address of `location` beside `from`.

@@ -355,7 +355,7 @@ fn pyramids_by_zarr() {
     assert_eq!((asked.dims(), asked.spacing()), ([3, 2, 2], Vec3::new(3.0, 4.0, 6.0)));
     let values: Vec<f32> = (0..12).map(|i| asked.voxels().get(i) - 40_000.0).collect();
     assert_eq!(values[..7], [0.0, 2.0, 4.0, 20.0, 22.0, 24.0, 200.0]);
-    // 60 voxels of two bytes do not fit into 100 bytes, but the coarser level does.
+    // 60 voxels of two bytes and their brightness do not fit into 100 bytes, but the coarser level does.
     let small = coarse(OpenOptions { max_bytes: 100, ..OpenOptions::default() });
     assert_eq!(small.dims(), [3, 2, 2]);
     let warnings = &small.info.warnings;

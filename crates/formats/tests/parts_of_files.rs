@@ -229,7 +229,7 @@ fn the_estimate_is_of_the_part_and_comes_before_the_voxels() {
         outline(path.to_str().unwrap(), &OpenOptions { max_bytes: u64::MAX, ..OpenOptions::default() });
     assert_eq!(whole.unwrap().dims, [2000, 1500, 2000]);
     let message = outline(path.to_str().unwrap(), &OpenOptions::default()).unwrap_err().to_string();
-    assert!(message.contains("needs 12000000000 bytes of memory"), "{message}");
+    assert!(message.contains("needs 18000000000 bytes of memory"), "{message}");
     // The file has no voxels at all.
     let message = open(path.to_str().unwrap(), &options).unwrap_err().to_string();
     assert!(message.contains("needs 48000000000 bytes, found 0"), "{message}");

@@ -77,7 +77,7 @@ fn check(what: &str, path: &Path, [nz, nc, nt, ns]: Place) -> Outline {
 }
 
 fn is_guess(found: &Outline) -> bool {
-    found.warnings.iter().any(|w| w.text.contains("taken as"))
+    found.warnings.iter().any(|w| w.text.contains("in the names were taken as"))
 }
 
 #[test]

@@ -248,7 +248,7 @@ const TWINS: [&str; 26] = [
 ];
 
 /// Constants of the shaders that the twins express otherwise.
-const SHADER_ONLY: [&str; 23] = [
+const SHADER_ONLY: [&str; 24] = [
     "HIDES",
     "ITEM_WORDS",
     "RAYS_IN_GROUP",
@@ -272,6 +272,7 @@ const SHADER_ONLY: [&str; 23] = [
     "HALF_SCALE",
     "LIST_CELLS",
     "NOTHING",
+    "FAR",
 ];
 
 /// The same with the constants of a pipeline in their places: each that the text asks for, and no other.

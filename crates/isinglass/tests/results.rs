@@ -192,8 +192,17 @@ fn a_stored_frame_gives_stereo_pairs_and_averages() {
 fn info_has_the_promised_fields() {
     let bench = Bench::new();
     let facts = bench.json("info builtin:shells@16 --json");
-    let promised =
-        ["bytes_in_memory", "dims", "dtype", "orientation", "percentiles", "range", "spacing", "warnings"];
+    let promised = [
+        "bytes_in_memory",
+        "dims",
+        "dtype",
+        "orientation",
+        "percentiles",
+        "range",
+        "spacing",
+        "values_of",
+        "warnings",
+    ];
     assert_eq!(keys(&facts), promised);
     bench.write("a.raw", [0u8; 10 + 2 * 24]);
     let raw = "a.raw --dims 2,3,4 --dtype uint16 --endian big --offset 10 --spacing 1,1,2.5";

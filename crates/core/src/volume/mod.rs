@@ -14,6 +14,7 @@ mod level_assembly;
 mod lighting;
 mod lit;
 mod opacities;
+mod page_plan;
 mod page_slice;
 mod page_values;
 mod pages;
@@ -40,6 +41,7 @@ pub use lighting::{
 };
 pub use lit::{GRADIENT_MAX, LIT_MAX, Lit, Shading};
 pub use opacities::{opacity_table, opacity_volume};
+pub use page_plan::PagePlan;
 pub use page_values::{FoundVoxel, PageCursor, PageFinder, PageReader, PageValues, ValuesAt};
 pub use pages::{Page, PageSet, PageView, PlanKey, page_of};
 pub use part_values::{AskedPoint, AskedPoints, FoundPoint, FoundPoints, PartValues};
@@ -47,7 +49,7 @@ pub use pyramid::{
     Finest, PAGE_CELLS, PAGE_POINTS, PAGE_VOXELS, PageError, PageId, PageRanges, PageSource, PageVoxels,
     Paging, Pyramid, PyramidLevel, VoxelKind,
 };
-pub use residency::{PagePlan, PageProgress, PartProgress, Residency};
+pub use residency::{PageProgress, PartProgress, Residency};
 pub use slice::{MAX_SLICE_SIDE, SlabMode, Slice, SliceCodes, SliceGrid, SlicePlane, SliceSpec};
 pub use slice_sums::SliceSums;
 pub use split::{GHOSTS, PointLine, Split, SplitError};

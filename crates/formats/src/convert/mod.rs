@@ -28,6 +28,7 @@ use crate::outline::Level;
 use crate::padding::GapNumbers;
 use crate::paged::open_paged;
 use crate::plan::{Chosen, Plan, Role, VolumeFile};
+use crate::reading::{Meaning, Reading};
 use crate::selection::Selection;
 use crate::source::{OpenOptions, file_name, open, open_any};
 use crate::web::is_address;
@@ -174,7 +175,7 @@ impl<'a> Conversion<'a> {
         match self.make() {
             Ok(mut found) => {
                 self.part.finish(&self.target)?;
-                found.notes.extend(leave_index(&self.target, &self.options));
+                found.notes.extend(leave_index(&self.target, &self.options, found.are_labels));
                 Ok(found)
             }
             // A full disk, a slow server and a person who stops are no reason to begin anew. A damaged file is.
@@ -319,7 +320,7 @@ impl<'a> Conversion<'a> {
 
 /// Keeps the index of an image that was made, in the folder of the options. Returns a word if that fails: the image is
 /// whole all the same.
-fn leave_index(image: &Path, options: &OpenOptions) -> Option<String> {
+fn leave_index(image: &Path, options: &OpenOptions, are_labels: bool) -> Option<String> {
     let folder = options.index_folder?;
     let report = |done: f32| {
         if let Some(progress) = options.progress {
@@ -327,7 +328,16 @@ fn leave_index(image: &Path, options: &OpenOptions) -> Option<String> {
         }
     };
     let OpenOptions { max_bytes, cancel, .. } = *options;
-    let own = OpenOptions { index_folder: Some(folder), max_bytes, cancel, ..OpenOptions::default() };
+    // What was found out is not judged again, for which a part of the volume would be read.
+    let voxels = Some(if are_labels { Meaning::Labels } else { Meaning::Values });
+    let reading = Reading { voxels, ..Reading::default() };
+    let own = OpenOptions {
+        index_folder: Some(folder),
+        max_bytes,
+        cancel,
+        reading: &reading,
+        ..OpenOptions::default()
+    };
     let keep = || -> Result<(), FormatError> {
         let paged = open_paged(&image.to_string_lossy(), &own)?;
         if !paged.is_indexed() {

@@ -22,14 +22,14 @@ pub(super) struct Storage {
     pub(super) sides: Vec<u64>,
     /// The order of the axes in a chunk.
     pub(super) order: Vec<usize>,
-    place: Place,
+    place: DataPlace,
     /// The filters, in the order of writing.
     filters: Vec<Codec>,
     /// The bytes of a number that is not stored.
     pub(super) fill: Vec<u8>,
 }
 
-enum Place {
+enum DataPlace {
     Nowhere,
     /// In the metadata.
     Here(Vec<u8>),
@@ -67,14 +67,18 @@ impl Storage {
         let shape = array.shape.clone();
         let fill = fill_value(&contents.objects, array.at, size as usize);
         let (sides, place) = match layout {
-            Layout::Compact { .. } => (shape.clone(), Place::Here(row(&dataset, &shape, 0, shape[0], size)?)),
-            Layout::Contiguous { address: Some(address), .. } => (divided(&shape, size), Place::At(address)),
+            Layout::Compact { .. } => {
+                (shape.clone(), DataPlace::Here(row(&dataset, &shape, 0, shape[0], size)?))
+            }
+            Layout::Contiguous { address: Some(address), .. } => {
+                (divided(&shape, size), DataPlace::At(address))
+            }
             Layout::Chunked { chunk_shape, index } => {
                 check_chunks(&shape, &chunk_shape, size, most_bytes)?;
                 let chunks = stored_chunks(contents, array, &dataset, (&chunk_shape, index))?;
-                (chunk_shape, Place::Chunks(chunks))
+                (chunk_shape, DataPlace::Chunks(chunks))
             }
-            _ => (divided(&shape, size), Place::Nowhere),
+            _ => (divided(&shape, size), DataPlace::Nowhere),
         };
         let order = (0..shape.len()).collect();
         let file = Arc::clone(&contents.bytes);
@@ -88,7 +92,7 @@ impl Storage {
     /// The byte of the file from which on all numbers lie one after the other.
     pub(super) fn offset(&self) -> Option<u64> {
         match self.place {
-            Place::At(address) => Some(address),
+            DataPlace::At(address) => Some(address),
             _ => None,
         }
     }
@@ -110,13 +114,13 @@ impl Storage {
     /// The chunk whose first number is `start`, if it is stored.
     pub(super) fn chunk(&self, start: &[u64]) -> Option<StoredChunk> {
         let at = match &self.place {
-            Place::Chunks(chunks) => {
+            DataPlace::Chunks(chunks) => {
                 let found = chunks.binary_search_by(|chunk| chunk.start[..].cmp(start));
                 return found.ok().map(|i| chunks[i].clone());
             }
-            Place::Nowhere => return None,
-            Place::Here(_) => 0,
-            Place::At(address) => *address,
+            DataPlace::Nowhere => return None,
+            DataPlace::Here(_) => 0,
+            DataPlace::At(address) => *address,
         };
         let strides = strides(&self.shape, self.dtype.num_bytes() as u64);
         let end = at.saturating_add(strides[0].saturating_mul(self.shape[0]));
@@ -129,7 +133,7 @@ impl Storage {
     /// The numbers of a chunk, as bytes.
     pub(super) fn bytes(&self, chunk: &StoredChunk) -> Result<Vec<u8>, String> {
         let num_bytes = self.bytes_of_chunk();
-        if let Place::Here(bytes) = &self.place {
+        if let DataPlace::Here(bytes) = &self.place {
             return Ok(bytes.clone());
         }
         // Filters add little to numbers that do not shrink.
@@ -137,7 +141,7 @@ impl Storage {
             return Err(format!("it has {} bytes, expected at most {num_bytes}", chunk.size));
         }
         let mut bytes = self.file.read(chunk.address, chunk.size)?;
-        if matches!(self.place, Place::At(_)) {
+        if matches!(self.place, DataPlace::At(_)) {
             // The last one along an axis is short.
             bytes.resize(num_bytes as usize, 0);
             return Ok(bytes);

@@ -58,7 +58,7 @@ impl BoxParts {
         }
     }
 
-    fn count_in<T: Counted, const TABLES: usize>(
+    fn count_in<T: StoredNumber, const TABLES: usize>(
         &self,
         all: &[T],
         gaps: Option<&[u8]>,
@@ -126,7 +126,7 @@ impl NumberBins {
         Self { counts: vec![0; num_bins * if kind == VoxelKind::U8 { 4 } else { 2 }], num_bins }
     }
 
-    fn add<T: Counted, const TABLES: usize>(&mut self, numbers: &[T]) {
+    fn add<T: StoredNumber, const TABLES: usize>(&mut self, numbers: &[T]) {
         let (some, rest) = numbers.as_chunks::<TABLES>();
         for few in some {
             for (table, x) in few.iter().enumerate() {
@@ -143,14 +143,14 @@ impl NumberBins {
 }
 
 /// A number in memory.
-trait Counted: Copy + PartialOrd {
+trait StoredNumber: Copy + PartialOrd {
     const LEAST: Self;
     const GREATEST: Self;
     fn single(self) -> f32;
     fn bin(self) -> usize;
 }
 
-impl Counted for u8 {
+impl StoredNumber for u8 {
     const LEAST: Self = Self::MIN;
     const GREATEST: Self = Self::MAX;
 
@@ -163,7 +163,7 @@ impl Counted for u8 {
     }
 }
 
-impl Counted for u16 {
+impl StoredNumber for u16 {
     const LEAST: Self = Self::MIN;
     const GREATEST: Self = Self::MAX;
 
@@ -176,7 +176,7 @@ impl Counted for u16 {
     }
 }
 
-impl Counted for f32 {
+impl StoredNumber for f32 {
     const LEAST: Self = Self::NEG_INFINITY;
     const GREATEST: Self = Self::INFINITY;
 
@@ -190,7 +190,7 @@ impl Counted for f32 {
 }
 
 /// A range with more numbers in it.
-fn widened<T: Counted>(range: (T, T), numbers: &[T], gaps: Option<&[u8]>) -> (T, T) {
+fn widened<T: StoredNumber>(range: (T, T), numbers: &[T], gaps: Option<&[u8]>) -> (T, T) {
     let with = |(lo, hi): (T, T), x: T| (if x < lo { x } else { lo }, if x > hi { x } else { hi });
     match gaps {
         None => numbers.iter().fold(range, |range, x| with(range, *x)),

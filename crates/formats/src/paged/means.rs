@@ -1,5 +1,5 @@
 //! The levels of means that an index keeps of a volume without levels: those that `convert` makes, from a thirty-second of
-//! the voxels on.
+//! the voxels on, and larger ones that take little room.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -40,7 +40,8 @@ impl MeanPlan {
             if kept.is_empty() {
                 before.push(step);
             }
-            if level.num_voxels() * LEAST_SHARE <= num_voxels {
+            let num_bytes = level.num_voxels() * finest.plan.dtype.num_bytes() as u64;
+            if level.num_voxels() * LEAST_SHARE <= num_voxels || num_bytes <= LITTLE_ROOM {
                 kept.push((shape, step));
             }
         }
@@ -164,6 +165,8 @@ pub(super) fn boxes(dims: [u64; 3], side: u64) -> impl Iterator<Item = ([u64; 3]
 
 /// A level is kept if it has at most one voxel for so many of the finest level: from 1/64 on where all axes are halved.
 const LEAST_SHARE: u64 = 32;
+/// A level that takes at most so many bytes is kept in any case: that of every second voxel of up to 2 GB.
+const LITTLE_ROOM: u64 = 256_000_000;
 /// Most voxels of the finest level along an axis that become one of the first kept level.
 const MOST_AT_ONCE: u32 = 64;
 /// Voxels along a side of the chunks in which levels are kept.

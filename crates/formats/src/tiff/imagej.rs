@@ -12,7 +12,7 @@ pub(super) fn is_imagej(text: &str) -> bool {
 }
 
 /// The stack of a description of the pages in `group`.
-pub(super) fn stack(text: &str, group: &Group, metadata: Option<&Metadata>) -> Stack {
+pub(super) fn stack(text: &str, group: &Group, metadata: Option<&ImageJMetadata>) -> Stack {
     let resolution = group.resolution;
     let get =
         |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).map(str::trim);
@@ -103,12 +103,12 @@ fn interval(interval: Option<f64>, unit: Option<&str>, frames_per_second: Option
 
 /// What ImageJ writes into tags of its own: a table of colours and a range of values for each channel.
 #[derive(Debug, Default, PartialEq)]
-pub(super) struct Metadata {
+pub(super) struct ImageJMetadata {
     colors: Vec<Option<[u8; 3]>>,
     ranges: Vec<(f64, f64)>,
 }
 
-impl Metadata {
+impl ImageJMetadata {
     /// Parses `bytes`, which are blocks of these `lengths`. The first block lists the kinds of the others.
     pub(super) fn of(bytes: &[u8], lengths: &[u32]) -> Option<Self> {
         let (list, lengths) = lengths.split_first()?;

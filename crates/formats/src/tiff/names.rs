@@ -9,7 +9,7 @@ use crate::error::quoted;
 
 /// What a number in a name counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Counted {
+enum NameMeaning {
     Slice,
     Channel,
     Time,
@@ -49,18 +49,18 @@ pub(super) struct FileFacts {
 }
 
 /// What a key counts. Longer words come from programs and people, single letters from microscopes.
-fn counted(key: &str) -> Option<Counted> {
+fn counted(key: &str) -> Option<NameMeaning> {
     Some(match key {
         "z" | "zs" | "zpos" | "zplane" | "zslice" | "zstack" | "slice" | "slices" | "sl" | "plane"
-        | "section" | "sec" | "layer" | "depth" => Counted::Slice,
+        | "section" | "sec" | "layer" | "depth" => NameMeaning::Slice,
         "c" | "ch" | "chn" | "chan" | "channel" | "channels" | "w" | "wv" | "wave" | "wavelength"
-        | "color" | "colour" | "filter" => Counted::Channel,
+        | "color" | "colour" | "filter" => NameMeaning::Channel,
         "t" | "tm" | "tp" | "time" | "times" | "timepoint" | "timepoints" | "frame" | "cycle" => {
-            Counted::Time
+            NameMeaning::Time
         }
         "s" | "xy" | "pos" | "position" | "positions" | "stage" | "series" | "p" | "f" | "field" | "fov"
         | "site" | "scene" | "m" | "view" | "angle" | "ang" | "well" | "tile" | "region" | "roi" | "r"
-        | "row" | "col" | "column" | "cm" | "spc" | "ph" => Counted::Place,
+        | "row" | "col" | "column" | "cm" | "spc" | "ph" => NameMeaning::Place,
         _ => return None,
     })
 }
@@ -79,7 +79,7 @@ fn short_key(word: &str) -> String {
 
 /// What a column counts by its key. Where letters and numbers follow each other, the last letter before the first number
 /// is its key: `seqt1z1c1`.
-fn counted_by(column: &NameColumn) -> (String, Option<Counted>) {
+fn counted_by(column: &NameColumn) -> (String, Option<NameMeaning>) {
     let key = short_key(&column.key);
     let is_first_of_many = column.is_joined && counted(&column.unit).is_some();
     if counted(&key).is_none() && is_first_of_many {
@@ -95,7 +95,7 @@ impl FileNames {
     /// not tell slices, channels or times apart.
     pub(super) fn of(names: &[String], facts: FileFacts) -> Result<Self, Option<String>> {
         let table = NameTable::of(names).ok_or(None)?;
-        let mut choice = Choice::by_keys(&table, facts);
+        let mut choice = AxisChoice::by_keys(&table, facts);
         let varied: Vec<usize> =
             (0..table.columns.len()).filter(|&i| table.columns[i].values.len() > 1).collect();
         if let [only] = varied[..] {
@@ -153,13 +153,13 @@ impl FileNames {
 
 /// The columns that count slices, channels, times and places.
 #[derive(Default)]
-struct Choice {
+struct AxisChoice {
     axes: [Option<usize>; 3],
     places: Vec<usize>,
     notes: Vec<String>,
 }
 
-impl Choice {
+impl AxisChoice {
     /// The columns whose keys tell what they count.
     fn by_keys(table: &NameTable, facts: FileFacts) -> Self {
         let keys: Vec<_> = table.columns.iter().map(counted_by).collect();
@@ -170,16 +170,16 @@ impl Choice {
         let mut lengths = [0; 3];
         for (i, (column, (key, found))) in table.columns.iter().zip(&keys).enumerate() {
             let counted = match &key[..] {
-                "p" if is_operetta => Some(Counted::Slice),
-                "sk" if is_operetta => Some(Counted::Time),
+                "p" if is_operetta => Some(NameMeaning::Slice),
+                "sk" if is_operetta => Some(NameMeaning::Time),
                 "c" if is_operetta => None,
-                _ => found.or((column.unit == "nm").then_some(Counted::Channel)),
+                _ => found.or((column.unit == "nm").then_some(NameMeaning::Channel)),
             };
             let is_few = column.values.len() <= MOST_CHANNELS && !facts.has_colors;
             let axis = match counted {
-                Some(Counted::Slice) => 0,
-                Some(Counted::Channel) if is_few => 1,
-                Some(Counted::Time) => 2,
+                Some(NameMeaning::Slice) => 0,
+                Some(NameMeaning::Channel) if is_few => 1,
+                Some(NameMeaning::Time) => 2,
                 _ => continue,
             };
             // The longest word tells most.
@@ -205,8 +205,8 @@ impl Choice {
             let rest: Vec<usize> =
                 varied.iter().copied().filter(|i| !is_used(i) && self.splits(table, *i)).collect();
             let is_place = |i: &usize| match counted_by(&table.columns[*i]).1 {
-                Some(Counted::Place) => true,
-                Some(Counted::Channel) => facts.has_colors,
+                Some(NameMeaning::Place) => true,
+                Some(NameMeaning::Channel) => facts.has_colors,
                 _ => false,
             };
             let is_told = self.axes.iter().any(Option::is_some);

@@ -67,7 +67,7 @@ pub(super) struct Scan {
     pub(super) endian: Endian,
     pub(super) num_other: usize,
     /// What ImageJ says about the channels.
-    pub(super) imagej: Option<imagej::Metadata>,
+    pub(super) imagej: Option<imagej::ImageJMetadata>,
 }
 
 impl Scan {
@@ -162,14 +162,14 @@ impl Group {
     }
 }
 
-fn imagej_metadata(decoder: &mut PageDecoder, endian: Endian) -> Option<imagej::Metadata> {
+fn imagej_metadata(decoder: &mut PageDecoder, endian: Endian) -> Option<imagej::ImageJMetadata> {
     let lengths = bytes_of(decoder, IMAGEJ_LENGTHS, MAX_IMAGEJ_BYTES)?;
     let number = |b: &[u8; 4]| match endian {
         Endian::Little => u32::from_le_bytes(*b),
         Endian::Big => u32::from_be_bytes(*b),
     };
     let lengths: Vec<u32> = lengths.as_chunks().0.iter().map(number).collect();
-    imagej::Metadata::of(&bytes_of(decoder, IMAGEJ_METADATA, MAX_IMAGEJ_BYTES)?, &lengths)
+    imagej::ImageJMetadata::of(&bytes_of(decoder, IMAGEJ_METADATA, MAX_IMAGEJ_BYTES)?, &lengths)
 }
 
 /// Opens a decoder at the first page of the file at `path`.

@@ -332,7 +332,7 @@ async fn accept_all(endpoint: Endpoint, shared: Arc<ServerShared>, sessions: mps
             };
             let admitted = tokio::select! {
                 admitted = admit(&shared, incoming) => admitted,
-                why = seat.is_given_up() => Err(Failure::Ended(why)),
+                why = seat.is_given_up() => Err(Rejection::Ended(why)),
             };
             // Nobody waits for the seat of one that is refused and only has to hear it.
             drop(seat);
@@ -393,20 +393,20 @@ impl Drop for Place {
 }
 
 /// Why there is no viewer.
-enum Failure {
+enum Rejection {
     /// The connection has ended.
     Ended(String),
     /// Its client still has to hear why.
     Refused(Connection, SendStream, Refusal),
 }
 
-impl From<String> for Failure {
+impl From<String> for Rejection {
     fn from(why: String) -> Self {
         Self::Ended(why)
     }
 }
 
-impl Failure {
+impl Rejection {
     /// Ends the connection. Returns the reason.
     async fn conclude(self, shared: &ServerShared) -> String {
         match self {
@@ -419,7 +419,7 @@ impl Failure {
 }
 
 /// From the first packet to the welcome, or why there is no viewer.
-async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitted, Failure> {
+async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitted, Rejection> {
     let remote = incoming.remote_address();
     let gauge = Arc::<LinkGauge>::default();
     let greeted = async {
@@ -453,7 +453,7 @@ async fn admit(shared: &Arc<ServerShared>, incoming: Incoming) -> Result<Admitte
         Ok(decision) => decision,
         Err(refusal) => {
             guard.0 = None;
-            return Err(Failure::Refused(connection, send, refusal));
+            return Err(Rejection::Refused(connection, send, refusal));
         }
     };
     let place = Place { shared: shared.clone(), viewer, session };
