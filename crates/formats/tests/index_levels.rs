@@ -215,7 +215,8 @@ fn pages_of_every_level_are_those_of_the_image_that_convert_makes() {
         let other = OpenOptions { index_folder: Some(&file.kept), ..OpenOptions::default() };
         let converted = open_paged(text(&image), &other).unwrap();
         let (own, others) = (&paged.source.pyramid().levels, &converted.source.pyramid().levels);
-        let first = others.iter().position(|level| level.factor.iter().product::<u32>() >= 32).unwrap();
+        // All levels are small, so all are kept.
+        let first = 1;
         let expected: Vec<_> = std::iter::once((0, 0))
             .chain((first..others.len()).enumerate().map(|(i, j)| (i + 1, j)))
             .collect();

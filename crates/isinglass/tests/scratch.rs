@@ -42,12 +42,17 @@ fn scratch_of(folder: &Path) -> Vec<String> {
     files_in(folder).into_iter().filter(|name| name.starts_with(".isinglass-")).collect()
 }
 
-/// Starts a server of `source` whose scratch is in `tmp`, and waits until the scratch folder is there.
-fn start(bench: &Bench, source: &str) -> Child {
+/// Starts a server of `source` whose scratch is in `tmp`.
+fn serve(bench: &Bench, source: &str) -> Child {
     std::fs::create_dir_all(bench.path("tmp")).unwrap();
     let mut command = bench.command(&format!("serve {source} --listen 127.0.0.1:0 --backend cpu"));
     command.env("TMPDIR", bench.path("tmp")).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut child = command.spawn().unwrap();
+    command.spawn().unwrap()
+}
+
+/// The same, and waits until the scratch folder is there.
+fn start(bench: &Bench, source: &str) -> Child {
+    let mut child = serve(bench, source);
     let patience = Instant::now() + Duration::from_secs(60);
     let is_there = || {
         scratch_of(&bench.path("tmp")).iter().any(|name| bench.path("tmp").join(name).join("lock").exists())
@@ -96,7 +101,7 @@ fn one_packed_volume_has_no_name_on_the_disk() {
     std::fs::set_permissions(bench.path("one.zip"), PermissionsExt::from_mode(0o600)).unwrap();
     let facts = bench.json("info one.zip --json");
     assert_eq!(facts["dims"], serde_json::json!([64, 64, 16]), "{facts}");
-    let mut child = start(&bench, "one.zip");
+    let mut child = serve(&bench, "one.zip");
     // Whatever is there at any moment takes no room: a link, and a lock.
     let mut largest = 0;
     let mut look = |folder: &Path| {

@@ -40,8 +40,7 @@ impl MeanPlan {
             if kept.is_empty() {
                 before.push(step);
             }
-            let num_bytes = level.num_voxels() * finest.plan.dtype.num_bytes() as u64;
-            if level.num_voxels() * LEAST_SHARE <= num_voxels || num_bytes <= LITTLE_ROOM {
+            if is_kept(level.num_voxels(), num_voxels, finest.plan.dtype) {
                 kept.push((shape, step));
             }
         }
@@ -57,6 +56,11 @@ impl MeanPlan {
         }
         numbers
     }
+}
+
+/// Whether a level of so many voxels is kept, of a volume with so many in the finest one.
+fn is_kept(num_voxels: u64, num_finest: u64, dtype: Dtype) -> bool {
+    num_voxels * LEAST_SHARE <= num_finest || num_voxels * dtype.num_bytes() as u64 <= LITTLE_ROOM
 }
 
 /// The numbers of the levels, while an index is made.
@@ -171,3 +175,15 @@ const LITTLE_ROOM: u64 = 256_000_000;
 const MOST_AT_ONCE: u32 = 64;
 /// Voxels along a side of the chunks in which levels are kept.
 pub(super) const CHUNK_SIDE: u64 = 64;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_levels_are_kept_from_a_quarter_on_and_small_ones_all() {
+        let kept = |side: u64, step: u64| is_kept((side / step).pow(3), side.pow(3), Dtype::Uint16);
+        assert!(kept(1000, 2) && kept(1000, 4));
+        assert!(!kept(2000, 2) && kept(2000, 4) && kept(100_000, 4));
+    }
+}
