@@ -49,9 +49,10 @@ fn main() {
     let seen = play(Duration::ZERO);
     println!("{seen:?}");
     seen.assert_whole();
-    // The kernel lets a thread wait for a page of the program, or for the map of memory while another thread changes it: on loaded
-    // cores one refresh in some hundred meets that. A wait of ours would be met again and again, as the control below is.
-    assert!(seen.waits.waited * 50 <= seen.waits.refreshes, "refreshes wait: {seen:?}");
+    // The kernel lets a thread wait for a page of the program, or for the map of memory while another thread changes it: on two
+    // loaded cores 1 to 8 refreshes of 151 meet that. A wait of ours would be met at each look, which is every tenth refresh,
+    // or at each refresh, as the control below is.
+    assert!(seen.waits.waited * 15 <= seen.waits.refreshes, "refreshes wait: {seen:?}");
     // Who meets at the allocator's locks, and how often, is the system's matter; at every refresh it would be ours.
     assert!(seen.waits.excused * 4 <= seen.waits.refreshes, "{seen:?}");
     println!(
