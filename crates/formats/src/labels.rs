@@ -69,8 +69,7 @@ pub(crate) fn told_labels(plan: &Plan, wish: Option<Meaning>, num_channels: u64)
 /// The middle of a volume, by whose look labels are told from values in bounded memory.
 pub(crate) fn judged_part(dims: [u64; 3], dtype: Dtype, max_bytes: u64) -> Region {
     let bytes_each = dtype.num_bytes_in_memory() as u64 + 1;
-    // The chunks that the part touches are several times as large.
-    let most = (max_bytes / 16 / bytes_each).min(MOST_JUDGED);
+    let most = (max_bytes / 4 / bytes_each).min(MOST_JUDGED);
     let side = ((most as f64).cbrt() as u64).max(1);
     Region {
         min: dims.map(|n| (n.saturating_sub(side) / 2) as u32),

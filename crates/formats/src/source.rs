@@ -10,12 +10,13 @@ use glam::Vec3;
 use isinglass_core::volume::{Histogram, Volume};
 
 use crate::builtin::BuiltinFile;
+use crate::dtype::Dtype;
 use crate::error::{FormatError, io_error, shown};
 use crate::foreign::HomeFolder;
 use crate::outline::Outline;
 use crate::overlay::{bytes_of_labels, with_labels};
 use crate::paged::{open_paged, page_count};
-use crate::plan::VolumeFile;
+use crate::plan::{Memory, VolumeFile};
 use crate::raw::RawShape;
 use crate::read_volume::{self, read_volume};
 use crate::reading::Reading;
@@ -256,8 +257,8 @@ pub(crate) fn open_source(
 
 fn open_builtin(name: &str, options: &OpenOptions) -> Result<Volume, FormatError> {
     let BuiltinFile { builtin, side, .. } = BuiltinFile::named(name)?;
-    // A byte of its value, and one of its brightness.
-    options.check_memory(Path::new(&format!("builtin:{name}")), 2 * u64::from(side).pow(3))?;
+    let memory = Memory { num_voxels: u64::from(side).pow(3), dtype: Dtype::Uint8, is_permuted: false };
+    options.check_memory(Path::new(&format!("builtin:{name}")), memory.needed(1))?;
     Ok(builtin.volume(side))
 }
 

@@ -328,7 +328,7 @@ fn leave_index(image: &Path, options: &OpenOptions, are_labels: bool) -> Option<
         }
     };
     let OpenOptions { max_bytes, cancel, .. } = *options;
-    // What was found out is not judged again, for which a part of the volume would be read.
+    // To judge again would read a part of the volume again.
     let voxels = Some(if are_labels { Meaning::Labels } else { Meaning::Values });
     let reading = Reading { voxels, ..Reading::default() };
     let own = OpenOptions {

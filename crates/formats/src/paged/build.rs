@@ -126,8 +126,7 @@ impl<'a> Pass<'a> {
         // A file with levels has its own.
         let plan = request.place.and_then(|_| request.pages.mean_plan());
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
-        // A thread takes about ten times the bytes of a box: packed and decoded chunks, numbers in two orders, voxels.
-        let boxes = boxes(level, request.max_bytes / (32 * cores as u64));
+        let boxes = boxes(level, request.max_bytes / (8 * cores as u64));
         let num_threads = cores.min(boxes.len());
         Self { request, rules, plan, boxes, num_threads }
     }
