@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 30] = [
+const SOURCES: [&str; 31] = [
     "crates/core/src/wire",
     "crates/core/src/codec/bands.rs",
     "crates/core/src/codec/chunk.rs",
@@ -24,11 +24,12 @@ const SOURCES: [&str; 30] = [
     "crates/core/src/codec/blocks/scales.rs",
     "crates/core/src/codec/blocks/smooth.rs",
     "crates/core/src/codec/blocks/entropy.rs",
-    "crates/core/src/codec/blocks/trained.rs",
+    "crates/core/src/codec/blocks/prior.rs",
+    "crates/core/src/codec/blocks/tables.rs",
     "crates/core/src/codec/blocks/syntax.rs",
     "crates/core/src/codec/blocks/steps.rs",
     "crates/core/src/codec/blocks/motion.rs",
-    "crates/core/src/codec/blocks/band.rs",
+    "crates/core/src/codec/blocks/tile.rs",
     "crates/core/src/codec/blocks/reference.rs",
     "crates/core/src/codec/blocks/to_frame.rs",
     "crates/core/src/codec/blocks/head.rs",

@@ -201,11 +201,8 @@ impl Pipeline {
     }
 
     /// Encodes a frame on a thread for blocking work.
-    pub(crate) fn code(&mut self, generated: Generated, mut ticket: Ticket) {
+    pub(crate) fn code(&mut self, generated: Generated, ticket: Ticket) {
         let header = *generated.frame.header();
-        if let Coding::Blocks(settings) = &mut ticket.sending.coding {
-            settings.max_bands = settings.max_bands.max(self.coders.current_num_threads() as u8);
-        }
         if ticket.sending.is_finer {
             self.journal.open(header.frame, header.pose);
         }

@@ -173,4 +173,4 @@ pub const HEADER_BYTES: usize = 72;
 pub const TILE: usize = 16;
 
 const MAGIC: [u8; 4] = *b"IGLC";
-const VERSION: u8 = 3;
+const VERSION: u8 = 4;

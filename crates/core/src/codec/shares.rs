@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::blocks::{self, Band, Reference, Settings};
+use super::blocks::{self, CodedTile, Notes, Reference, Settings, Tally};
 use super::chunk::EncodedFrame;
 use super::error::CodecError;
 use super::exact;
@@ -32,16 +32,16 @@ enum BandsPlan<'a> {
 pub struct CodedBand {
     /// The bytes of its chunk behind what all chunks share.
     pub payload: Vec<u8>,
-    /// What its coder noted for the next frame; empty in the exact coding.
+    /// What its coder noted for the next frame, block by block of its tiles with matter; empty in the exact coding.
     pub notes: Vec<f32>,
     /// `None` of a band that another process has coded.
-    decoded: Option<Arc<Band>>,
+    tiles: Option<(Vec<CodedTile>, Tally)>,
 }
 
 impl CodedBand {
     /// A band that another process has coded.
     pub fn of_other(payload: Vec<u8>, notes: Vec<f32>) -> Self {
-        Self { payload, notes, decoded: None }
+        Self { payload, notes, tiles: None }
     }
 }
 
@@ -92,8 +92,9 @@ impl<'a> FrameBands<'a> {
         Ok(match &self.plan {
             BandsPlan::Exact(plan) => CodedBand::of_other(plan.encode(frame, band, wanted)?, Vec::new()),
             BandsPlan::Blocks(plan) => {
-                let blocks::EncodedBand { payload, decoded, notes } = plan.encode(frame, band, wanted)?;
-                CodedBand { payload, notes, decoded: Some(decoded) }
+                let blocks::EncodedBand { payload, tiles, notes, tally } =
+                    plan.encode(frame, band, wanted)?;
+                CodedBand { payload, notes: notes.concat(), tiles: Some((tiles, tally)) }
             }
         })
     }
@@ -107,30 +108,48 @@ impl<'a> FrameBands<'a> {
         if bands.len() != self.num() {
             return Err(CodecError::Incomplete { found: bands.len(), expected: self.num() });
         }
-        let (mut payloads, mut notes, mut decoded) = (vec![], vec![], vec![]);
+        let (mut payloads, mut parts) = (vec![], vec![]);
         for band in bands {
             payloads.push(band.payload);
-            notes.push(band.notes);
-            decoded.push(band.decoded);
+            parts.push((band.tiles, band.notes));
         }
         let plan = match &self.plan {
             BandsPlan::Exact(plan) => return Ok((plan.encoded(payloads)?, None)),
             BandsPlan::Blocks(plan) => plan,
         };
         let encoded = plan.encoded(payloads)?;
-        let all = decoded.into_par_iter().zip(&encoded.chunks).map(|(decoded, chunk)| match decoded {
-            Some(decoded) => Ok(decoded),
-            None => self.decoded(&chunk.bytes),
+        let all = parts.into_par_iter().zip(&encoded.chunks).map(|((tiles, notes), chunk)| {
+            let (tiles, tally) = match tiles {
+                Some(tiles) => tiles,
+                None => self.decoded(&chunk.bytes)?,
+            };
+            let notes = notes_of_tiles(&tiles, &notes);
+            Ok((tiles, notes, tally))
         });
-        let all = all.collect::<Result<Vec<_>, _>>()?;
-        Ok((encoded, Some(Arc::new(plan.reference(all, notes)))))
+        let (mut tiles, mut notes, mut tally) = (vec![], vec![], Tally::default());
+        for (own, of_own, counts) in all.collect::<Result<Vec<_>, CodecError>>()? {
+            tiles.extend(own);
+            notes.extend(of_own);
+            tally = tally.and(&counts);
+        }
+        Ok((encoded, Some(Arc::new(plan.reference(tiles, &tally, notes)))))
     }
 
-    fn decoded(&self, chunk: &[u8]) -> Result<Arc<Band>, CodecError> {
+    fn decoded(&self, chunk: &[u8]) -> Result<(Vec<CodedTile>, Tally), CodecError> {
         let named = |name| self.reference.filter(|reference| reference.frame() == name);
-        let (_, band) = blocks::decode_band(&peek(chunk)?, chunk, named)?;
-        Ok(Arc::new(band))
+        let band = blocks::decode_band(&peek(chunk)?, chunk, named)?;
+        Ok((band.tiles, band.tally))
     }
+}
+
+/// The notes of each tile. A tile without matter has none.
+fn notes_of_tiles(tiles: &[CodedTile], mut notes: &[f32]) -> Vec<Notes> {
+    let of_tile = |tile: &CodedTile| {
+        let (own, rest) = notes.split_at(tile.num_blocks().min(notes.len()));
+        notes = rest;
+        own.to_vec()
+    };
+    tiles.iter().map(of_tile).collect()
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! The version of the protocol, and what peers of different versions tell each other.
 
 /// Version of the protocol on a connection.
-pub const PROTOCOL_VERSION: u32 = 19;
+pub const PROTOCOL_VERSION: u32 = 20;
 /// Protocol name in the TLS handshake: peers that share it speak the same version.
-pub const ALPN: &[u8] = b"isinglass/19";
+pub const ALPN: &[u8] = b"isinglass/20";
 /// Protocol name of peers that share no version. The server then only tells its own version, by
 /// [`version_notice`], and closes. This name and the notice stay the same in all versions.
 pub const ALPN_ANY: &[u8] = b"isinglass/any";

@@ -1,11 +1,11 @@
 //! Corrects the picture at the frame's own pose. The composite of decoded layers has the sum of many small errors.
 //! One more plane for each block removes most of it.
 
-use super::super::error::{CodecError, at_most};
-use super::super::limits::MAX_CHUNK_SEGMENTS;
-use super::band::{Band, CellPlanes, CellsOf, NO_CELLS};
+use rayon::prelude::*;
+
+use super::super::error::CodecError;
 use super::entropy::Coder;
-use super::model::{BLOCK_LISTS, BandPlace};
+use super::model::{BLOCK_LISTS, TilePlace};
 use super::residual::{Expected, fixed_of, residual};
 use super::scales::{
     MAX_ROOT, f32_from_fixed, fixed_from_f32, roots, roots_from_ycc, scales, ycc_from_roots,
@@ -13,26 +13,27 @@ use super::scales::{
 use super::smooth::{Border, smooth_roots};
 use super::steps::StepSizes;
 use super::syntax::{Contexts, NO_CLASS};
+use super::tile::{CellPlanes, CellsOf, FrameTile, NO_CELLS};
 use super::transform::BlockPlane;
 
 /// Differences of the roots of a picture's red, green and blue.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Corrections {
-    /// Index in `planes` for each block of a band; [`NONE`] for none.
+    /// Index in `planes` for each block of a tile; [`NONE`] for none.
     places: Vec<u32>,
     /// Y, Co, Cg in units of 1/8192.
     planes: Vec<[[i16; BLOCK_LISTS]; 3]>,
 }
 
-/// Codes the corrections of a band. `source` writes those of a block and returns the mask of lists with matter. Only
+/// Codes the corrections of a tile. `source` writes those of a block and returns the mask of lists with matter. Only
 /// an encoder calls it, block by block.
 pub(super) fn code<C: Coder>(
     mut coder: C,
     steps: &StepSizes,
-    place: BandPlace,
+    place: TilePlace,
     mut source: impl FnMut(usize, &mut [BlockPlane; 3]) -> u64,
 ) -> Result<(C, Corrections), CodecError> {
-    let mut contexts = Contexts::new();
+    let contexts = Contexts::all();
     let mut out = Corrections { places: Vec::new(), planes: Vec::new() };
     let mut classes: Vec<[u8; 3]> = Vec::new();
     let mut wanted = [[0.0; BLOCK_LISTS]; 3];
@@ -43,7 +44,7 @@ pub(super) fn code<C: Coder>(
         let state = |b: Option<usize>| b.map_or(0, |b| 1 + usize::from(out.places[b] != NONE));
         let context = state(left) * 3 + state(above);
         let mut own = [0; 3];
-        if coder.bit(&mut contexts.has_correction[context], mask != 0) {
+        if coder.bit(contexts.has_correction[context], mask != 0) {
             let mut planes = [[0; BLOCK_LISTS]; 3];
             let mut class_before = NO_CLASS;
             for c in 0..3 {
@@ -53,16 +54,13 @@ pub(super) fn code<C: Coder>(
                     (Some(a), None) | (None, Some(a)) => a,
                     (None, None) => NO_CLASS,
                 };
-                let step = steps.of_picture()[c];
                 let mut values = [0.0; BLOCK_LISTS];
-                let near = [class_before, beside];
-                let component = if c == 0 { 3 } else { 7 };
                 let (class, _) = residual(
                     &mut coder,
-                    &mut contexts,
-                    component,
-                    near,
-                    step,
+                    contexts,
+                    if c == 0 { 3 } else { 7 },
+                    [class_before, beside],
+                    steps.of_picture()[c],
                     mask,
                     Some(&wanted[c]),
                     &Expected::Constant(0.0),
@@ -78,7 +76,6 @@ pub(super) fn code<C: Coder>(
             out.places.push(NONE);
         }
         classes.push(own);
-        at_most("corrected blocks in a chunk", out.planes.len(), MAX_CHUNK_SEGMENTS / BLOCK_LISTS)?;
         if coder.is_overrun() {
             return Err(CodecError::Payload { plane: "corrections", problem: "ends too early".into() });
         }
@@ -140,96 +137,129 @@ fn multiply_any([_, _, _, y, co, cg]: &mut CellPlanes, [of_r, of_g, of_b]: &[Blo
     }
 }
 
-/// The picture of a row of blocks, as roots of red, green and blue.
-struct PictureRow {
+/// The picture of a tile's corrected blocks, as roots of red, green and blue.
+#[derive(Clone, Debug, Default)]
+pub(in crate::codec) struct TilePicture {
+    across: usize,
+    /// Index in `blocks` for each block of the tile; [`NONE`] for one without corrections.
+    places: Vec<u32>,
     blocks: Vec<CorrectedBlock>,
 }
 
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 #[repr(align(64))]
 struct CorrectedBlock {
-    /// Mask of the lists with matter; 0 for a block without corrections.
+    /// Mask of the lists with matter.
     mask: u64,
     /// What the lists composite to, and what they should.
     found: [BlockPlane; 3],
     wanted: [BlockPlane; 3],
 }
 
-impl PictureRow {
-    fn new(across: usize) -> Self {
-        const NOTHING: BlockPlane = [0.0; BLOCK_LISTS];
-        Self { blocks: vec![CorrectedBlock { mask: 0, found: [NOTHING; 3], wanted: [NOTHING; 3] }; across] }
+impl TilePicture {
+    /// What a tile shows, and what it should show.
+    pub(super) fn new(tile: &FrameTile, corrections: &Corrections) -> Self {
+        let corrected = corrections.places.iter().enumerate().filter_map(|(block, place)| {
+            Some(CorrectedBlock::new(tile.cells_of(block), corrections.planes.get(*place as usize)?))
+        });
+        Self { across: tile.across, blocks: corrected.collect(), places: corrections.places.clone() }
     }
 
-    /// Smooths the borders within this row, then those to the row above.
-    fn smooth_below(&mut self, above: &mut Self, steps: &[f32; 3]) {
-        for x in 1..self.blocks.len() {
-            if let [first, second] = &mut self.blocks[x - 1..=x] {
-                smooth_between(Border::Beside, first, second, steps);
-            }
-        }
-        for (first, second) in above.blocks.iter_mut().zip(&mut self.blocks) {
-            smooth_between(Border::Below, first, second, steps);
-        }
+    /// Number of corrected blocks.
+    pub(super) fn num_blocks(&self) -> usize {
+        self.blocks.len()
     }
 
-    /// Multiplies the colours of a row's lists so that they composite to what they should.
-    fn apply(&self, band: &mut Band, first_block: usize) {
-        for (x, CorrectedBlock { mask, found, wanted }) in self.blocks.iter().enumerate() {
-            if *mask == 0 {
+    fn place(&self, block: usize) -> Option<usize> {
+        self.places.get(block).filter(|place| **place != NONE).map(|place| *place as usize)
+    }
+
+    /// Smooths the borders of a kind between the tile's own blocks.
+    fn smooth_inside(&mut self, border: Border, steps: &[f32; 3]) {
+        let back = if border == Border::Beside { 1 } else { self.across };
+        for block in back..self.places.len() {
+            if border == Border::Beside && block % self.across == 0 {
                 continue;
             }
+            // Blocks follow each other as their places do.
+            if let (Some(first), Some(second)) = (self.place(block - back), self.place(block))
+                && let Ok([first, second]) = self.blocks.get_disjoint_mut([first, second])
+            {
+                smooth_between(border, first, second, steps);
+            }
+        }
+    }
+
+    /// Smooths the borders to the next tile on the right or below.
+    fn smooth_to(&mut self, border: Border, next: &mut Self, steps: &[f32; 3]) {
+        if self.blocks.is_empty() || next.blocks.is_empty() {
+            return;
+        }
+        let (first, second, num) = match border {
+            Border::Beside => {
+                let rows = self.places.len() / self.across;
+                (self.across - 1, [0, next.across], rows)
+            }
+            Border::Below => (self.places.len() - self.across, [0, 1], self.across),
+        };
+        let step = if border == Border::Beside { self.across } else { 1 };
+        for i in 0..num {
+            if let (Some(a), Some(b)) = (self.place(first + i * step), next.place(second[0] + i * second[1]))
+            {
+                smooth_between(border, &mut self.blocks[a], &mut next.blocks[b], steps);
+            }
+        }
+    }
+
+    /// Multiplies the colours of a tile's lists so that they composite to what they should.
+    fn apply(&self, tile: &mut FrameTile) {
+        for block in 0..self.places.len() {
+            let Some(place) = self.place(block) else { continue };
+            let CorrectedBlock { found, wanted, .. } = &self.blocks[place];
             let mut factors = *wanted;
             for (factor, found) in factors.as_flattened_mut().iter_mut().zip(found.as_flattened()) {
                 *factor = (*factor / *found).clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
             }
-            band.change(first_block + x, |cells| multiply(cells, &factors));
+            tile.change(block, |cells| multiply(cells, &factors));
         }
     }
 }
 
-impl Corrections {
-    /// Multiplies the colours of a band's cells so that every list composites to what it should. `steps` are those of
-    /// the corrections' Y, Co and Cg, by which borders between corrected blocks are smoothed.
-    pub(super) fn apply(&self, band: &mut Band, steps: [f32; 3]) {
-        if self.planes.is_empty() {
-            return;
-        }
-        let across = band.across.max(1);
-        let [mut above, mut own] = [(); 2].map(|()| PictureRow::new(across));
-        for (y, places) in self.places.chunks(across).enumerate() {
-            for (x, (&place, shown)) in places.iter().zip(&mut own.blocks).enumerate() {
-                match self.planes.get(place as usize) {
-                    Some(differences) => {
-                        shown.set(band.cells_of(y * across + x), differences);
-                    }
-                    None => shown.mask = 0,
-                }
+/// Multiplies the colours of a frame's cells so that every list composites to what it should. There is a picture for
+/// each tile, row by row, `across` to a row. `steps` are those of the corrections' Y, Co and Cg, by which borders between
+/// corrected blocks are smoothed: first those between blocks side by side.
+pub(super) fn correct(tiles: &mut [FrameTile], pictures: &mut [TilePicture], across: usize, steps: [f32; 3]) {
+    pictures.par_chunks_mut(across.max(1)).for_each(|row| {
+        row.iter_mut().for_each(|picture| picture.smooth_inside(Border::Beside, &steps));
+        for x in 1..row.len() {
+            if let [first, second] = &mut row[x - 1..=x] {
+                first.smooth_to(Border::Beside, second, &steps);
             }
-            own.smooth_below(&mut above, &steps);
-            // Nothing changes the row above any more.
-            if y > 0 {
-                above.apply(band, (y - 1) * across);
-            }
-            std::mem::swap(&mut above, &mut own);
         }
-        let num_rows = self.places.len().div_ceil(across);
-        above.apply(band, num_rows.saturating_sub(1) * across);
+    });
+    pictures.par_iter_mut().for_each(|picture| picture.smooth_inside(Border::Below, &steps));
+    let mut rows: Vec<&mut [TilePicture]> = pictures.chunks_mut(across.max(1)).collect();
+    for y in 1..rows.len() {
+        if let [above, below] = &mut rows[y - 1..=y] {
+            let pairs = above.par_iter_mut().zip(below.par_iter_mut());
+            pairs.for_each(|(first, second)| first.smooth_to(Border::Below, second, &steps));
+        }
     }
+    tiles.par_iter_mut().zip(pictures).for_each(|(tile, picture)| picture.apply(tile));
 }
 
 impl CorrectedBlock {
-    /// Sets what the cells of a block composite to, and what they should: that plus the differences.
-    fn set(&mut self, cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) {
-        composite_roots(cells, &mut self.found);
-        self.mask = cells.mask();
+    /// What the cells of a block composite to, and what they should: that plus the differences.
+    fn new(cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) -> Self {
+        let mut found = [[0.0; BLOCK_LISTS]; 3];
+        composite_roots(cells, &mut found);
+        let mut wanted = found;
         for i in 0..BLOCK_LISTS {
             let difference = [differences[0][i], differences[1][i], differences[2][i]];
             let difference = roots_from_ycc(difference.map(f32_from_fixed));
-            for ((wanted, found), difference) in self.wanted.iter_mut().zip(&self.found).zip(difference) {
-                wanted[i] = found[i] + difference;
-            }
+            wanted.iter_mut().zip(difference).for_each(|(wanted, difference)| wanted[i] += difference);
         }
+        Self { mask: cells.mask(), found, wanted }
     }
 }
 
@@ -249,21 +279,40 @@ const NONE: u32 = u32::MAX;
 
 #[cfg(test)]
 mod tests {
-    use super::super::band::OpenBlock;
     use super::super::model::{BLOCK, DepthPlane};
+    use super::super::tile::OpenBlock;
     use super::*;
 
     const ACROSS: usize = 4;
     const ROWS: usize = 5;
-    const PLACE: BandPlace =
-        BandPlace { across: ACROSS, first_row: 0, num_rows: ROWS, size: [ACROSS * BLOCK, ROWS * BLOCK] };
+    const STEPS: [f32; 3] = [0.03, 0.08, 0.08];
 
-    /// A band of smooth layers, with blocks that have no matter and lists that have none, and corrections for most of it.
-    fn corrected() -> (Band, Corrections) {
-        let (mut band, mut lists) = (Band::new(PLACE, 0), OpenBlock::default());
+    /// A frame in tiles of so many blocks, with layers that differ from block to block, and its corrections.
+    fn corrected(columns: &[usize], rows: &[usize]) -> (Vec<FrameTile>, Vec<TilePicture>) {
+        let starts = |sizes: &[usize]| {
+            sizes.iter().scan(0, |end, n| Some(std::mem::replace(end, *end + n))).collect::<Vec<_>>()
+        };
+        let (lefts, tops) = (starts(columns), starts(rows));
+        let mut all = (vec![], vec![]);
+        for (top, num_rows) in tops.iter().zip(rows) {
+            for (left, across) in lefts.iter().zip(columns) {
+                let size = [ACROSS * BLOCK, ROWS * BLOCK];
+                let place = TilePlace { first: [*left, *top], across: *across, num_rows: *num_rows, size };
+                let (tile, corrections) = corrected_tile(place);
+                all.1.push(TilePicture::new(&tile, &corrections));
+                all.0.push(tile);
+            }
+        }
+        all
+    }
+
+    fn corrected_tile(place: TilePlace) -> (FrameTile, Corrections) {
+        let (mut tile, mut lists) = (FrameTile::new(place, 0), OpenBlock::default());
         let mut corrections = Corrections { places: vec![], planes: vec![] };
-        for block in 0..ACROSS * ROWS {
-            let first_plane = band.planes.len();
+        for i in 0..place.across * place.num_rows {
+            let [x, y] = place.in_frame(i % place.across, i / place.across);
+            let block = y * ACROSS + x;
+            let first_plane = tile.planes.len();
             lists.clear();
             let mask = if block == 6 { 0xffff_fe7f_ffff_ff0f } else { u64::MAX };
             for layer in 0..if block == 9 { 0 } else { 1 + block % 3 } {
@@ -273,10 +322,10 @@ mod tests {
                     std::array::from_fn(|i| (600 + 40 * layer + i + 9 * block) as u16);
                 let ycc = [4000, 300, -200].map(|v| std::array::from_fn(|i| v + (3 * i + 11 * block) as i16));
                 let alphas = u.map(|code| scales().alpha[usize::from(code)]);
-                band.planes.push(planes);
+                tile.planes.push(planes);
                 lists.push(&planes, mask, &u, &ycc, &alphas);
             }
-            band.push(first_plane, &mut lists);
+            tile.push(first_plane, &mut lists);
             if [3, 9, 14].contains(&block) {
                 corrections.places.push(NONE);
             } else {
@@ -285,57 +334,54 @@ mod tests {
                 corrections.planes.push(std::array::from_fn(|c| std::array::from_fn(|i| of(c, i))));
             }
         }
-        (band, corrections)
+        (tile, corrections)
     }
 
-    /// Y, Co, Cg of the cells of a block.
-    fn colors(band: &Band, block: usize) -> Vec<[u16; 3]> {
-        let mut colors = vec![];
-        let mut spread = NO_CELLS;
-        let mut walk = band.cells_of(block).walk(&mut spread);
-        while let Some((_, [_, _, _, y, co, cg])) = walk.next() {
-            colors.extend((0..BLOCK_LISTS).map(|i| [y[i], co[i], cg[i]]));
+    /// Y, Co, Cg of the cells of each block of the frame.
+    fn colors(tiles: &[FrameTile], columns: &[usize], rows: &[usize]) -> Vec<Vec<[u16; 3]>> {
+        let mut colors = vec![vec![]; ACROSS * ROWS];
+        let (mut top, mut tiles) = (0, tiles.iter());
+        for num_rows in rows {
+            let mut left = 0;
+            for across in columns {
+                let tile = tiles.next().unwrap();
+                for i in 0..across * num_rows {
+                    let at = (top + i / across) * ACROSS + left + i % across;
+                    let mut spread = NO_CELLS;
+                    let mut walk = tile.cells_of(i).walk(&mut spread);
+                    while let Some((_, [_, _, _, y, co, cg])) = walk.next() {
+                        colors[at].extend((0..BLOCK_LISTS).map(|i| [y[i], co[i], cg[i]]));
+                    }
+                }
+                left += across;
+            }
+            top += num_rows;
         }
         colors
     }
 
-    /// All of the picture at once: first the borders between blocks beside each other, then those to blocks below.
-    fn at_once(band: &mut Band, corrections: &Corrections, steps: &[f32; 3]) {
-        let mut shown = PictureRow::new(ACROSS * ROWS);
-        for (block, &place) in corrections.places.iter().enumerate() {
-            if let Some(differences) = corrections.planes.get(place as usize) {
-                shown.blocks[block].set(band.cells_of(block), differences);
-            }
-        }
-        for (border, back) in [(Border::Beside, 1), (Border::Below, ACROSS)] {
-            for block in back..ACROSS * ROWS {
-                if border == Border::Below || !block.is_multiple_of(ACROSS) {
-                    let [first, second] = shown.blocks.get_disjoint_mut([block - back, block]).unwrap();
-                    smooth_between(border, first, second, steps);
-                }
-            }
-        }
-        shown.apply(band, 0);
+    /// The colours of all blocks when the frame is cut into tiles.
+    fn shown(columns: &[usize], rows: &[usize], steps: [f32; 3]) -> Vec<Vec<[u16; 3]>> {
+        let (mut tiles, mut pictures) = corrected(columns, rows);
+        correct(&mut tiles, &mut pictures, columns.len(), steps);
+        colors(&tiles, columns, rows)
     }
 
     #[test]
-    fn rows_are_smoothed_as_all_of_a_band_at_once_is() {
-        let steps = [0.03, 0.08, 0.08];
-        let (mut by_rows, corrections) = corrected();
-        let [mut all, mut plain] = [(); 2].map(|()| by_rows.clone());
-        let before = by_rows.clone();
-        corrections.apply(&mut by_rows, steps);
-        at_once(&mut all, &corrections, &steps);
-        assert!(by_rows == all);
+    fn borders_of_tiles_are_smoothed_as_those_within() {
+        let whole = shown(&[ACROSS], &[ROWS], STEPS);
+        for (columns, rows) in
+            [(&[2, 2][..], &[5][..]), (&[4], &[3, 2]), (&[3, 1], &[1, 2, 2]), (&[1; 4], &[1; 5])]
+        {
+            assert!(shown(columns, rows, STEPS) == whole, "{columns:?} {rows:?}");
+        }
         // Steps of nothing move nothing.
-        corrections.apply(&mut plain, [0.0; 3]);
-        let moved = |block: usize| {
-            let [smoothed, plain] = [&by_rows, &plain].map(|band| colors(band, block));
-            smoothed.iter().zip(&plain).filter(|(a, b)| a != b).count()
-        };
+        let plain = shown(&[ACROSS], &[ROWS], [0.0; 3]);
+        let moved = |block: usize| whole[block].iter().zip(&plain[block]).filter(|(a, b)| a != b).count();
         assert!((0..ACROSS * ROWS).map(moved).sum::<usize>() > 200);
         // Blocks without corrections stay as they were, also beside those that have some.
-        assert!([3, 14].iter().all(|&block| colors(&by_rows, block) == colors(&before, block)));
+        let before = colors(&corrected(&[ACROSS], &[ROWS]).0, &[ACROSS], &[ROWS]);
+        assert!([3, 14].iter().all(|&block| whole[block] == before[block]));
         assert!(moved(10) > 0);
     }
 }

@@ -1,21 +1,20 @@
 //! Decodes the chunks of a frame in blocks.
 
 use std::cmp::Reverse;
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::super::error::{CodecError, at_most};
 use super::super::header::{ChunkHeader, HEADER_BYTES};
 use super::super::limits::{MAX_CHUNK_SEGMENTS, MAX_FRAME_SEGMENTS};
-use super::band::Band;
-use super::coding::{BandCoder, NoSource};
-use super::corrections;
-use super::entropy::Decoder;
-use super::head::Head;
-use super::model::MAX_LAYERS;
+use super::coding::{NoSource, TileCoder, TileScratch};
+use super::corrections::{self, TilePicture};
+use super::entropy::{Decoder, Tables, Tally};
+use super::head::{Head, Room, read_streams};
+use super::model::{MAX_LAYERS, TilePlace};
 use super::motion::ReferenceMotion;
-use super::reference::{Reference, References};
+use super::reference::{CodedTile, Reference, References};
+use super::steps::StepSizes;
 use crate::ids::FrameId;
 
 /// Decodes all chunks of a frame, in order of index.
@@ -23,35 +22,38 @@ pub(in crate::codec) fn decode(
     chunks: &[(ChunkHeader, &[u8])],
     references: &References,
 ) -> Result<Reference, CodecError> {
-    let mut longest_first: Vec<_> = chunks.iter().collect();
-    longest_first.sort_by_key(|(_, bytes)| Reverse(bytes.len()));
-    // Each thread takes one at a time, so no thread has a long one left at the end.
-    let bands = longest_first.into_iter().par_bridge().map(|(header, bytes)| {
-        let (head, band) = decode_band(header, bytes, |name| references.get(name).map(AsRef::as_ref))?;
-        Ok((header, head, Arc::new(band)))
-    });
-    let mut bands: Vec<_> = bands.collect::<Result<_, CodecError>>()?;
-    bands.sort_unstable_by_key(|(header, ..)| header.index);
-    let Some(&(header, head, _)) = bands.first() else {
+    let named = |name| references.get(name).map(AsRef::as_ref);
+    let bands = chunks.par_iter().map(|(header, bytes)| Ok((header, decode_band(header, bytes, named)?)));
+    let bands: Vec<_> = bands.collect::<Result<_, CodecError>>()?;
+    let Some(&(header, DecodedBand { head, .. })) = bands.first() else {
         return Err(CodecError::Incomplete { found: 0, expected: 1 });
     };
-    if let Some((header, ..)) = bands.iter().find(|(_, other, _)| *other != head) {
+    if let Some((header, _)) = bands.iter().find(|(_, other)| other.head != head) {
         return Err(header.contradicts("other steps, predictions or bands"));
     }
-    let num_cells = bands.iter().map(|(.., band)| band.num_cells()).sum();
+    let tally = bands.iter().fold(Tally::default(), |all, (_, band)| all.and(&band.tally));
+    let tiles: Vec<CodedTile> = bands.into_iter().flat_map(|(_, band)| band.tiles).collect();
+    let num_cells = tiles.iter().map(|coded| coded.tile.num_cells()).sum();
     at_most("segments in a frame", num_cells, MAX_FRAME_SEGMENTS)?;
-    let num_rows = bands.iter().map(|(.., band)| band.num_rows()).sum();
+    let num_rows = tiles.iter().map(|coded| coded.tile.num_rows()).sum();
     at_most("rows of segments in a frame", num_rows, MAX_FRAME_SEGMENTS / 4)?;
-    let bands = bands.into_iter().map(|(.., band)| band).collect();
-    Ok(Reference::new(header.frame, Some(head.steps), bands))
+    Ok(Reference::of_tiles(header.frame, head.steps, tiles, &tally, head.reference.and_then(named)))
 }
 
-/// Decodes a chunk, given the reference of a name.
+/// A decoded chunk.
+pub(in crate::codec) struct DecodedBand {
+    head: Head,
+    pub(in crate::codec) tiles: Vec<CodedTile>,
+    /// What its bits were.
+    pub(in crate::codec) tally: Tally,
+}
+
+/// Decodes the tiles of a chunk, given the reference of a name.
 pub(in crate::codec) fn decode_band<'a>(
     header: &ChunkHeader,
     bytes: &[u8],
     named: impl Fn(FrameId) -> Option<&'a Reference>,
-) -> Result<(Head, Band), CodecError> {
+) -> Result<DecodedBand, CodecError> {
     let mut coded = bytes.get(HEADER_BYTES..).unwrap_or_default();
     if usize::from(header.frame.k) != MAX_LAYERS {
         let expected = MAX_LAYERS.to_string();
@@ -65,25 +67,95 @@ pub(in crate::codec) fn decode_band<'a>(
         }
         None => None,
     };
+    let own;
+    let tables = match reference {
+        Some(reference) => &reference.tables,
+        None => {
+            own = Tables::read(&mut coded)?;
+            &own
+        }
+    };
     let motion = reference.map(|r| (r, ReferenceMotion::new(&header.frame.camera, &r.header.camera)));
-    // Memory for about as many cells as a band of the reference has, but bounded by the number of bytes.
-    let num_cells =
-        reference.map_or(0, |r| (r.num_cells() / r.num_bands()).min(coded.len() * CELLS_PER_BYTE));
-    let place = head.place(header);
-    let coder = BandCoder::new(Decoder::new(coded), head.steps, place, motion, num_cells);
-    let (mut decoder, mut band, _) = coder.run(&mut NoSource, MAX_CHUNK_SEGMENTS)?;
-    if band.num_cells() > 0 {
-        let corrections;
-        (decoder, corrections) = corrections::code(decoder, &head.steps, place, |_, _| 0)?;
-        corrections.apply(&mut band, head.steps.of_picture());
+    let num_cells = reference.map_or(0, Reference::cells_per_tile);
+    let chunk = ChunkCoding { steps: head.steps, tables, motion, num_cells };
+    let places = head.tiles(&header.frame, header.index.0.into());
+    let streams = read_streams(coded, places.len())?;
+    let (tiles, tally) = chunk.decode_all(streams.into_iter().zip(places).enumerate().collect())?;
+    Ok(DecodedBand { head, tiles, tally })
+}
+
+/// What the tiles of a chunk share.
+struct ChunkCoding<'a> {
+    steps: StepSizes,
+    tables: &'a Tables,
+    motion: Option<(&'a Reference, ReferenceMotion)>,
+    /// About as many cells as a tile of the reference has.
+    num_cells: usize,
+}
+
+/// The number of a tile, its stream if it has one, and its place.
+type TileStream<'a> = (usize, (Option<&'a [u8]>, TilePlace));
+
+impl ChunkCoding<'_> {
+    /// Decodes all tiles of a chunk, in the order of their numbers. The tally has the bits of all.
+    fn decode_all(&self, mut streams: Vec<TileStream<'_>>) -> Result<(Vec<CodedTile>, Tally), CodecError> {
+        streams.sort_by_key(|(_, (stream, _))| Reverse(stream.map(<[u8]>::len)));
+        let room = Room::new(MAX_CHUNK_SEGMENTS);
+        // Each thread takes one at a time, so no thread has a long one left at the end. Each has a tally of its own.
+        let nothing = || Ok((Vec::new(), Tally::default()));
+        let first = || (nothing(), TileScratch::default());
+        let decoded = streams.into_iter().par_bridge().fold(
+            first,
+            |(all, mut scratch): (Result<(Vec<_>, Tally), CodecError>, _), (index, (stream, place))| {
+                let all = all.and_then(|(mut tiles, mut tally)| {
+                    let mut tile = CodedTile::default();
+                    if let Some(stream) = stream {
+                        (tile, tally) = self.decode(stream, place, tally, &mut scratch)?;
+                    }
+                    room.take(&tile.tile, tile.picture.num_blocks())?;
+                    tiles.push((index, tile));
+                    Ok((tiles, tally))
+                });
+                (all, scratch)
+            },
+        );
+        let (mut tiles, tally) = decoded.map(|(all, _)| all).reduce(nothing, |a, b| {
+            let ((mut tiles, tally), (others, other)) = (a?, b?);
+            tiles.extend(others);
+            Ok((tiles, tally.and(&other)))
+        })?;
+        tiles.sort_unstable_by_key(|(index, _)| *index);
+        Ok((tiles.into_iter().map(|(_, tile)| tile).collect(), tally))
     }
-    if !decoder.is_at_end() {
-        return Err(CodecError::Payload {
-            plane: "blocks",
-            problem: "bytes are left over or missing".into(),
-        });
+
+    /// Decodes a tile, whose bits are added to the tally.
+    fn decode(
+        &self,
+        stream: &[u8],
+        place: TilePlace,
+        tally: Tally,
+        scratch: &mut TileScratch,
+    ) -> Result<(CodedTile, Tally), CodecError> {
+        let Self { steps, tables, motion, .. } = *self;
+        // Few bytes take little memory.
+        let num_cells = self.num_cells.min(stream.len() * CELLS_PER_BYTE);
+        let decoder = Decoder::new(stream, tables, tally);
+        let coder = TileCoder::new(decoder, steps, place, motion, num_cells, scratch);
+        let (mut decoder, tile, _) = coder.run(&mut NoSource)?;
+        let mut picture = TilePicture::default();
+        if tile.num_cells() > 0 {
+            let corrections;
+            (decoder, corrections) = corrections::code(decoder, &steps, place, |_, _| 0)?;
+            picture = TilePicture::new(&tile, &corrections);
+        }
+        if !decoder.is_at_end() {
+            return Err(CodecError::Payload {
+                plane: "blocks",
+                problem: "bits are left over or missing".into(),
+            });
+        }
+        Ok((CodedTile { tile, picture }, decoder.tally))
     }
-    Ok((head, band))
 }
 
 /// Upper bound on the cells of a predicted frame for each byte.

@@ -1,7 +1,6 @@
-//! Encodes: it chooses layers for the lists of a band, and codes them.
+//! Encodes: it chooses layers for the lists of a tile, and codes them.
 
 use std::ops::Range;
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -9,23 +8,23 @@ use super::super::chunk::EncodedFrame;
 use super::super::error::{CodecError, at_most};
 use super::super::header::num_bands;
 use super::super::limits::{MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS};
-use super::band::{Band, CellsOf, Planes};
 use super::bands;
-use super::coding::{BandCoder, BlockSource, Origin, Plan, PlaneCode};
-use super::corrections::{self, composite_roots};
-use super::entropy::Encoder;
-use super::head::{self, Head};
+use super::coding::{BlockSource, Origin, Plan, PlaneCode, TileCoder, TileScratch};
+use super::corrections::{self, TilePicture, composite_roots};
+use super::entropy::{BitRecorder, CodedBit, Tables, Tally, encoded};
+use super::head::{Head, Room, write_streams};
 use super::layer_search::{BlockLists, LayerSearch};
-use super::model::{BLOCK, BLOCK_LISTS, BandPlace, MAX_LAYERS};
+use super::model::{BLOCK, BLOCK_LISTS, MAX_LAYERS, TILE, TilePlace, tiles_along};
 use super::motion::ReferenceMotion;
-use super::reference::{Notes, Reference};
+use super::reference::{CodedTile, Notes, Reference};
 use super::scales::ycc_from_roots;
 use super::steps::{self, LayerCost, Settings, StepSizes};
+use super::tile::{CellsOf, Planes};
 use super::transform::BlockPlane;
 use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame};
 
-/// Encodes a valid frame ([`LayeredFrame::validate`]), bands in parallel. The frame is predicted from the reference,
+/// Encodes a valid frame ([`LayeredFrame::validate`]), tiles in parallel. The frame is predicted from the reference,
 /// if given. The receiver must have that reference. Also returns the reference that a receiver will have.
 ///
 /// Lists may get more or fewer segments. The header allows `MAX_LAYERS`.
@@ -48,23 +47,15 @@ pub(in crate::codec) fn encode_while(
     wanted: Wanted<'_>,
 ) -> Result<(EncodedFrame, Reference), CodecError> {
     let plan = BlocksPlan::new(frame.header, settings, reference, &bands::work_of_rows(frame))?;
-    // Bands are ordered from both ends. So a thread with two neighbours in this order has one from the border and one
-    // from the middle, and wrong estimates of their time even out.
-    let num = plan.num_bands();
-    let from_both_ends = |n: usize| if n.is_multiple_of(2) { n / 2 } else { num - 1 - n / 2 };
-    let bands = (0..num).into_par_iter().with_max_len(1).map(|n| {
-        let index = from_both_ends(n);
-        Ok((index, plan.encode(frame, index, wanted)?))
-    });
-    let mut bands: Vec<_> = bands.collect::<Result<_, CodecError>>()?;
-    bands.sort_unstable_by_key(|(index, _)| *index);
-    let (mut payloads, mut decoded, mut notes) = (vec![], vec![], vec![]);
-    for (_, band) in bands {
+    let (mut payloads, mut tiles, mut notes, mut tally) = (vec![], vec![], vec![], Tally::default());
+    for band in 0..plan.num_bands() {
+        let band = plan.encode(frame, band, wanted)?;
         payloads.push(band.payload);
-        decoded.push(band.decoded);
-        notes.push(band.notes);
+        tiles.extend(band.tiles);
+        notes.extend(band.notes);
+        tally = tally.and(&band.tally);
     }
-    Ok((plan.encoded(payloads)?, plan.reference(decoded, notes)))
+    Ok((plan.encoded(payloads)?, plan.reference(tiles, &tally, notes)))
 }
 
 /// What all bands of a frame share.
@@ -80,14 +71,24 @@ pub(in crate::codec) struct BlocksPlan<'a> {
 /// An encoded band.
 pub(in crate::codec) struct EncodedBand {
     pub(in crate::codec) payload: Vec<u8>,
-    /// The decoded band.
-    pub(in crate::codec) decoded: Arc<Band>,
-    /// How well its planes fit, for the next frame.
-    pub(in crate::codec) notes: Notes,
+    /// Its tiles, as a decoder has them.
+    pub(in crate::codec) tiles: Vec<CodedTile>,
+    /// How well the planes of each tile fit, for the next frame.
+    pub(in crate::codec) notes: Vec<Notes>,
+    /// What its bits were.
+    pub(in crate::codec) tally: Tally,
+}
+
+/// A tile before its bits become bytes.
+#[derive(Default)]
+struct EncodedTile {
+    coded: CodedTile,
+    notes: Notes,
+    recorder: BitRecorder,
 }
 
 impl<'a> BlocksPlan<'a> {
-    /// Cuts a frame into bands, given the work of each row of blocks.
+    /// Cuts a frame into bands, given the work of each row of tiles.
     pub(in crate::codec) fn new(
         frame: FrameHeader,
         settings: &Settings,
@@ -95,10 +96,14 @@ impl<'a> BlocksPlan<'a> {
         work: &[usize],
     ) -> Result<Self, CodecError> {
         let camera = frame.camera;
-        at_most("lists", camera.intrinsics.num_pixels(), MAX_FRAME_LISTS)?;
+        let num_lists = camera.intrinsics.num_pixels();
+        at_most("lists", num_lists, MAX_FRAME_LISTS)?;
         let header = FrameHeader { k: MAX_LAYERS as u8, ..frame };
         let (cost, steps) = steps::from_settings(settings, reference.is_some(), &camera);
-        let num_bands = num_bands(camera.intrinsics.height).min(settings.max_bands.max(1));
+        let rows = tiles_along(camera.intrinsics.height).clamp(1, u8::MAX.into()) as u8;
+        let least = num_lists.div_ceil(MOST_LISTS_OF_BAND) as u8;
+        let num_bands =
+            settings.max_bands.max(least).min(rows).clamp(1, num_bands(camera.intrinsics.height).max(1));
         let borders = bands::borders(work, camera.intrinsics.width, num_bands);
         let head = Head { steps, reference: reference.map(Reference::frame), borders };
         let reference = reference.map(|r| (r, ReferenceMotion::new(&camera, &r.header.camera)));
@@ -111,12 +116,10 @@ impl<'a> BlocksPlan<'a> {
 
     /// The rows of lists of a band.
     pub(in crate::codec) fn rows(&self, band: usize) -> Range<usize> {
-        let BandPlace { first_row, num_rows, size, .. } = self.place(band);
-        first_row * BLOCK..((first_row + num_rows) * BLOCK).min(size[1])
-    }
-
-    fn place(&self, band: usize) -> BandPlace {
-        head::place(self.head.borders, &self.header, band)
+        let height = self.header.camera.intrinsics.height;
+        let rows = self.head.borders.rows(band, tiles_along(height));
+        let list = |row: usize| (row * TILE * BLOCK).min(height as usize);
+        list(rows.start)..list(rows.end)
     }
 
     /// The chunks, given the payloads of all bands.
@@ -124,9 +127,15 @@ impl<'a> BlocksPlan<'a> {
         EncodedFrame::from_payloads(self.header, false, &self.head.to_bytes(), payloads)
     }
 
-    /// The reference that a receiver will have, given all bands.
-    pub(in crate::codec) fn reference(&self, decoded: Vec<Arc<Band>>, notes: Vec<Notes>) -> Reference {
-        let reference = Reference::new(self.header, Some(self.head.steps), decoded);
+    /// The reference that a receiver will have, given all tiles.
+    pub(in crate::codec) fn reference(
+        &self,
+        tiles: Vec<CodedTile>,
+        tally: &Tally,
+        notes: Vec<Notes>,
+    ) -> Reference {
+        let before = self.reference.map(|(reference, _)| reference);
+        let reference = Reference::of_tiles(self.header, self.head.steps, tiles, tally, before);
         reference.with_notes(self.cost.lambda, notes)
     }
 
@@ -134,40 +143,86 @@ impl<'a> BlocksPlan<'a> {
     pub(in crate::codec) fn encode(
         &self,
         frame: &LayeredFrame,
-        index: usize,
+        band: usize,
         wanted: Wanted<'_>,
     ) -> Result<EncodedBand, CodecError> {
+        let places = self.head.tiles(&self.header, band);
+        let mut by_work: Vec<_> = places.iter().enumerate().collect();
+        by_work.sort_by_cached_key(|(_, place)| std::cmp::Reverse(segments(frame, place)));
+        let room = Room::new(MAX_CHUNK_SEGMENTS);
+        // Each thread takes one at a time, so no thread has a long one left at the end.
+        let made = by_work.into_iter().par_bridge().map_init(Default::default, |scratch, (index, place)| {
+            let made = self.encode_tile(frame, *place, wanted, scratch)?;
+            room.take(&made.coded.tile, made.coded.picture.num_blocks())?;
+            Ok((index, made))
+        });
+        let mut made = made.collect::<Result<Vec<_>, CodecError>>()?;
+        made.sort_unstable_by_key(|(index, _)| *index);
+        let mut tally = Tally::default();
+        made.iter().flat_map(|(_, tile)| &tile.recorder.bits).for_each(|bit| tally.add(*bit));
+        let (changed, mut payload);
+        let tables = match self.reference {
+            Some((reference, _)) => {
+                payload = Vec::new();
+                &reference.tables
+            }
+            None => {
+                (changed, payload) = Tables::changed(&tally);
+                &changed
+            }
+        };
+        let stream = |bits: &[CodedBit]| if bits.is_empty() { Vec::new() } else { encoded(bits, tables) };
+        let streams: Vec<Vec<u8>> = made.par_iter().map(|(_, tile)| stream(&tile.recorder.bits)).collect();
+        write_streams(&streams, &mut payload);
+        let (tiles, notes) = made.into_iter().map(|(_, tile)| (tile.coded, tile.notes)).unzip();
+        Ok(EncodedBand { payload, tiles, notes, tally })
+    }
+
+    /// Encodes a tile; one without matter has no bits.
+    fn encode_tile(
+        &self,
+        frame: &LayeredFrame,
+        place: TilePlace,
+        wanted: Wanted<'_>,
+        (planner, coder): &mut (PlannerScratch, TileScratch),
+    ) -> Result<EncodedTile, CodecError> {
         let Self { cost, reference, head: Head { steps, .. }, .. } = *self;
-        let place = self.place(index);
-        let mut planner = BlockPlanner::new(frame, place, cost, steps, reference, wanted);
-        let coder = BandCoder::new(Encoder::new(), steps, place, reference, segments(frame, place));
-        let (mut coder, mut decoded, origins) = coder.run(&mut planner, MAX_CHUNK_SEGMENTS)?;
-        if planner.is_abandoned {
+        let num_segments = segments(frame, &place);
+        if num_segments == 0 {
+            return Ok(Default::default());
+        }
+        if !wanted() {
             return Err(CodecError::Abandoned);
         }
-        if decoded.num_cells() > 0 {
-            let BlockPlanner { goals, goal_of, .. } = &planner;
+        let mut planner = BlockPlanner::new(frame, place, cost, steps, reference, planner);
+        let coder = TileCoder::new(BitRecorder::default(), steps, place, reference, num_segments, coder);
+        let (mut recorder, tile, origins) = coder.run(&mut planner)?;
+        let BlockPlanner { goals, goal_of, notes, .. } = planner;
+        let mut picture = TilePicture::default();
+        if tile.num_cells() > 0 {
             let source = |block: usize, planes: &mut [BlockPlane; 3]| {
                 // A block of the reference already contains its corrections.
-                let is_corrected = origins[block] == Origin::Copied || !decoded.has_matter(block);
+                let is_corrected = origins[block] == Origin::Copied || !tile.has_matter(block);
                 match goals.get(goal_of[block] as usize) {
-                    Some(goal) if !is_corrected => miss(goal, decoded.cells_of(block), planes),
+                    Some(goal) if !is_corrected => miss(goal, tile.cells_of(block), planes),
                     _ => 0,
                 }
             };
             let corrections;
-            (coder, corrections) = corrections::code(coder, &steps, place, source)?;
-            corrections.apply(&mut decoded, steps.of_picture());
+            (recorder, corrections) = corrections::code(recorder, &steps, place, source)?;
+            picture = TilePicture::new(&tile, &corrections);
         }
-        let (payload, notes) = (coder.finish(), planner.notes);
-        Ok(EncodedBand { payload, decoded: Arc::new(decoded), notes })
+        Ok(EncodedTile { coded: CodedTile { tile, picture }, notes, recorder })
     }
 }
 
-/// Number of segments in a band.
-fn segments(frame: &LayeredFrame, place: BandPlace) -> usize {
-    let row = |block: usize| (block * BLOCK).min(place.size[1]) * place.size[0];
-    (frame.offsets[row(place.first_row + place.num_rows)] - frame.offsets[row(place.first_row)]) as usize
+/// Number of segments in a tile.
+fn segments(frame: &LayeredFrame, place: &TilePlace) -> usize {
+    let [width, height] = place.size;
+    let [left, top] = place.first.map(|block| block * BLOCK);
+    let right = (left + place.across * BLOCK).min(width);
+    let rows = top..(top + place.num_rows * BLOCK).min(height);
+    rows.map(|row| (frame.offsets[row * width + right] - frame.offsets[row * width + left]) as usize).sum()
 }
 
 /// What the lists of a block lack, as roots, to composite to `goal`. Returns the mask of lists with matter.
@@ -207,37 +262,40 @@ impl PlaneCandidate {
     }
 }
 
-/// Finds layers for blocks.
-struct BlockPlanner<'a> {
-    frame: &'a LayeredFrame,
-    place: BandPlace,
-    cost: LayerCost,
-    steps: StepSizes,
-    reference: Option<(&'a Reference, ReferenceMotion)>,
+/// Memory of a thread that plans blocks. What it holds means nothing to the next block.
+#[derive(Default)]
+struct PlannerScratch {
     search: LayerSearch,
     lists: BlockLists,
     own: PlaneCandidate,
     searched: PlaneCandidate,
     planes: Vec<Planes>,
     best: Vec<Planes>,
+}
+
+/// Finds layers for blocks.
+struct BlockPlanner<'a> {
+    frame: &'a LayeredFrame,
+    place: TilePlace,
+    cost: LayerCost,
+    steps: StepSizes,
+    reference: Option<(&'a Reference, ReferenceMotion)>,
+    scratch: &'a mut PlannerScratch,
     notes: Notes,
     /// The roots of red, green and blue that the lists of blocks should composite to, and their index for each block;
     /// [`NO_GOAL`] for an empty block.
     goals: Vec<[BlockPlane; 3]>,
     goal_of: Vec<u32>,
-    is_wanted: Wanted<'a>,
-    /// The band is no longer wanted, so all further blocks are empty.
-    is_abandoned: bool,
 }
 
 impl<'a> BlockPlanner<'a> {
     fn new(
         frame: &'a LayeredFrame,
-        place: BandPlace,
+        place: TilePlace,
         cost: LayerCost,
         steps: StepSizes,
         reference: Option<(&'a Reference, ReferenceMotion)>,
-        is_wanted: Wanted<'a>,
+        scratch: &'a mut PlannerScratch,
     ) -> Self {
         Self {
             frame,
@@ -245,17 +303,10 @@ impl<'a> BlockPlanner<'a> {
             cost,
             steps,
             reference,
-            search: LayerSearch::default(),
-            lists: BlockLists::default(),
-            own: PlaneCandidate::default(),
-            searched: PlaneCandidate::default(),
-            planes: Vec::new(),
-            best: Vec::new(),
+            scratch,
             notes: Vec::with_capacity(place.across * place.num_rows),
             goals: Vec::with_capacity(place.across * place.num_rows),
             goal_of: Vec::with_capacity(place.across * place.num_rows),
-            is_wanted,
-            is_abandoned: false,
         }
     }
 
@@ -267,14 +318,14 @@ impl<'a> BlockPlanner<'a> {
         let is_fine =
             reference.steps.is_some_and(|s| s.color <= self.steps.color && s.depth <= self.steps.depth)
                 && reference.lambda.is_some_and(|lambda| lambda <= self.cost.lambda * LIKE_LAMBDA);
-        let at = [x, y + self.place.first_row];
-        let Some((band, block)) = reference.block(at[0] as i32, at[1] as i32) else { return false };
-        if !(motion.is_still && is_fine && band.has_matter(block)) {
+        let [x, y] = self.place.in_frame(x, y).map(|at| at as i32);
+        let Some((tile, block)) = reference.block(x, y) else { return false };
+        if !(motion.is_still && is_fine && tile.has_matter(block)) {
             return false;
         }
         let Some(goal) = self.goals.last() else { return false };
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
-        miss(goal, band.cells_of(block), &mut planes);
+        miss(goal, tile.cells_of(block), &mut planes);
         let mean = planes[0].iter().map(|d| d.abs()).sum::<f32>() / BLOCK_LISTS as f32;
         mean <= SAME * self.steps.picture
     }
@@ -303,27 +354,23 @@ impl BlockPlanner<'_> {
         plan: &mut Plan,
     ) -> f32 {
         plan.origin = Origin::Fresh;
-        self.is_abandoned |= x == 0 && !(self.is_wanted)();
-        if self.is_abandoned {
-            plan.layers.clear();
-            return 0.0;
-        }
-        let at = [x as u32, (y + self.place.first_row) as u32];
+        let at = self.place.in_frame(x, y).map(|at| at as u32);
         if BlockLists::is_nothing(self.frame, at[0], at[1]) {
             plan.layers.clear();
             self.goal_of.push(NO_GOAL);
             return 0.0;
         }
-        self.lists.read(self.frame, at[0], at[1]);
+        self.scratch.lists.read(self.frame, at[0], at[1]);
         self.goal_of.push(self.goals.len() as u32);
-        self.goals.push(*self.lists.roots());
+        self.goals.push(*self.scratch.lists.roots());
         if self.is_same(x, y) {
             plan.origin = Origin::Copied;
             plan.layers.clear();
             return self.reference.map_or(0.0, |(reference, _)| reference.note(at.map(|v| v as i32)));
         }
         let per_layer = self.cost.error_per_layer();
-        let Self { search, lists, own, searched, planes, best, steps, .. } = self;
+        let Self { scratch, steps, .. } = self;
+        let PlannerScratch { search, lists, own, searched, planes, best } = &mut **scratch;
         let mut kept = f32::INFINITY;
         // Error of a block's own planes here, in units of the cost of a layer.
         let mut note = 0.0;
@@ -385,6 +432,8 @@ impl BlockPlanner<'_> {
     }
 }
 
+/// A band has at most so many lists, so that its chunk may hold all of their segments.
+const MOST_LISTS_OF_BAND: usize = MAX_CHUNK_SEGMENTS / 8;
 const NO_GOAL: u32 = u32::MAX;
 /// A copied block may be off by this part of the step of corrections on average.
 const SAME: f32 = 0.75;
@@ -419,8 +468,9 @@ mod tests {
     fn planned(list: impl Fn(usize) -> Vec<Segment>, before: &[[f32; 2]]) -> (Plan, f32) {
         let frame = frame(list);
         let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
-        let place = BandPlace { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
-        let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, ALWAYS);
+        let place = TilePlace { first: [0; 2], across: 1, num_rows: 1, size: [8, 8] };
+        let mut scratch = PlannerScratch::default();
+        let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, &mut scratch);
         let offered = |origin: Origin, out: &mut Vec<Planes>| {
             out.clear();
             if origin == Origin::Kept {
@@ -465,10 +515,14 @@ mod tests {
             let list = |i| if has_matter(i) { vec![slab(i, 20300.0, 3000.0, 0.8, 1.5)] } else { vec![] };
             let frame = frame(list);
             let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
-            let place = BandPlace { across: 1, first_row: 0, num_rows: 1, size: [8, 8] };
-            let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, ALWAYS);
-            match BandCoder::new(Encoder::new(), steps, place, None, 0).run(&mut planner, limit) {
-                Ok((_, band, _)) => Ok((band.num_cells(), band.num_rows())),
+            let place = TilePlace { first: [0; 2], across: 1, num_rows: 1, size: [8, 8] };
+            let mut scratch = PlannerScratch::default();
+            let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, &mut scratch);
+            let mut coder = TileScratch::default();
+            let coder = TileCoder::new(BitRecorder::default(), steps, place, None, 0, &mut coder);
+            let (_, tile, _) = coder.run(&mut planner).unwrap();
+            match Room::new(limit).take(&tile, 0) {
+                Ok(()) => Ok((tile.num_cells(), tile.num_rows())),
                 Err(CodecError::TooLarge { what, .. }) => Err(what),
                 Err(other) => panic!("{other}"),
             }

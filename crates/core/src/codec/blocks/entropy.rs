@@ -1,227 +1,152 @@
-//! Adaptive binary range coding (Martin 1979, in the byte-wise form of LZMA). Estimates move by 1/(n + 1.5) at the
-//! n-th bit. So a new context learns within a few bits, and an old one is steady.
+//! Binary entropy coding with fixed probabilities, by rANS (Duda 2014). Each stream is a tile, and no bit waits for the
+//! estimate that another one leaves.
 //!
-//! The syntax is written once, over [`Coder`]. An encoder writes the values that it is given; a decoder ignores them
-//! and returns the ones that it reads. So the two cannot disagree.
+//! The syntax is written once, over [`Coder`]. A [`BitRecorder`] notes the values that it is given; a [`Decoder`] ignores
+//! them and returns the ones that it reads. So the two cannot disagree. What is noted becomes bytes by [`encoded`], when
+//! the probabilities of all contexts are known.
 
-/// An encoder or a decoder of values.
+use super::prior::PRIOR;
+
+/// A recorder or a decoder of values.
 pub(super) trait Coder {
-    /// Whether this is an encoder.
+    /// Whether values come from a frame.
     const ENCODES: bool;
 
-    /// A bit with an estimate, which learns from it.
-    fn bit(&mut self, model: &mut Model, bit: bool) -> bool;
+    /// A bit with the probability of a context.
+    fn bit(&mut self, context: Context, bit: bool) -> bool;
 
-    /// `count` equally likely bits, at most 24, highest first.
-    fn raw(&mut self, count: u32, value: u32) -> u32;
-
-    /// Whether a decoder has read beyond the end; never for an encoder.
+    /// Whether a decoder has read beyond the end; never for a recorder.
     fn is_overrun(&self) -> bool;
 
-    /// `count` bits, highest first. Each has an estimate for the bits before it; `models` has 2^`count`.
-    fn tree(&mut self, models: &mut [Model], count: u32, value: u32) -> u32 {
+    /// `count` equally likely bits, at most 24, highest first.
+    fn raw(&mut self, count: u32, value: u32) -> u32 {
+        (0..count).rev().fold(0, |all, i| all << 1 | u32::from(self.bit(Context::EVEN, value >> i & 1 == 1)))
+    }
+
+    /// `count` bits, highest first. Each has a context for the bits before it; `contexts` has 2^`count`.
+    fn tree(&mut self, contexts: &[Context], count: u32, value: u32) -> u32 {
         let mut node = 1;
         for i in (0..count).rev() {
-            let bit = self.bit(&mut models[node], value >> i & 1 == 1);
+            let bit = self.bit(contexts[node], value >> i & 1 == 1);
             node = node << 1 | usize::from(bit);
         }
         node as u32 & ((1 << count) - 1)
     }
 
-    /// Number of ones before the first zero, at most one for each model.
-    fn unary(&mut self, models: &mut [Model], value: u32) -> u32 {
-        for (i, model) in models.iter_mut().enumerate() {
-            if !self.bit(model, (i as u32) < value) {
+    /// Number of ones before the first zero, at most one for each context.
+    fn unary(&mut self, contexts: &[Context], value: u32) -> u32 {
+        for (i, context) in contexts.iter().enumerate() {
+            if !self.bit(*context, (i as u32) < value) {
                 return i as u32;
             }
         }
-        models.len() as u32
+        contexts.len() as u32
     }
 
     /// A number up to 2²⁰: the length of `value` + 1 in bits, and then the bits below the highest. The first of them
-    /// has an estimate. Small numbers take fewer bits.
-    fn number(&mut self, models: &mut NumberModels, value: u32) -> u32 {
+    /// has a context. Small numbers take fewer bits.
+    fn number(&mut self, contexts: &NumberContexts, value: u32) -> u32 {
         let up = value.min(MAX_NUMBER) + 1;
-        let length = self.unary(&mut models.length, up.ilog2());
+        let length = self.unary(&contexts.length, up.ilog2());
         if length == 0 {
             return 0;
         }
         let rest = length - 1;
-        let first = self.bit(&mut models.first[length as usize - 1], up >> rest & 1 == 1);
+        let first = self.bit(contexts.first[length as usize - 1], up >> rest & 1 == 1);
         let low = self.raw(rest, up & ((1 << rest) - 1));
         (((2 | u32::from(first)) << rest) | low) - 1
     }
 
     /// A number from −2²⁰ to 2²⁰.
-    fn signed(&mut self, models: &mut SignedModels, value: i32) -> i32 {
-        if !self.bit(&mut models.is_not_zero, value != 0) {
+    fn signed(&mut self, contexts: &SignedContexts, value: i32) -> i32 {
+        if !self.bit(contexts.is_not_zero, value != 0) {
             return 0;
         }
-        let is_negative = self.bit(&mut models.is_negative, value < 0);
-        let size = self.number(&mut models.size, value.unsigned_abs().saturating_sub(1)) as i32 + 1;
+        let is_negative = self.bit(contexts.is_negative, value < 0);
+        let size = self.number(&contexts.size, value.unsigned_abs().saturating_sub(1)) as i32 + 1;
         if is_negative { -size } else { size }
     }
 }
 
-/// The probability of a one, and the number of bits that it has learnt from.
+/// The place of a bit's probability in the tables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Context(pub(super) u16);
+
+impl Context {
+    /// The context of bits that are equally likely.
+    pub(super) const EVEN: Self = Self(EVEN_PLACE);
+}
+
+/// The contexts of [`Coder::number`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Model {
-    /// Probability in units of 2⁻¹⁶.
-    one: u16,
-    seen: u16,
+pub(super) struct NumberContexts {
+    pub(super) length: [Context; NUMBER_BITS],
+    pub(super) first: [Context; NUMBER_BITS],
 }
 
-impl Model {
-    pub(super) const START: Self = Self { one: 1 << 15, seen: 0 };
-
-    /// An estimate that counts as learnt from `seen` bits.
-    pub(super) const fn trained(one: u16, seen: u16) -> Self {
-        Self { one, seen }
-    }
-
-    /// Probability in units of 2⁻¹⁵, away from 0 and 1.
-    fn probability(self) -> u32 {
-        (u32::from(self.one) >> 1).clamp(LEAST, (1 << PROBABILITY_BITS) - LEAST)
-    }
-
-    fn learn(&mut self, bit: bool) {
-        let goal = if bit { 0xffff } else { 0 };
-        let change = ((goal - i32::from(self.one)) * RATES[usize::from(self.seen)]) >> RATE_BITS;
-        self.one = (i32::from(self.one) + change) as u16;
-        self.seen = (self.seen + 1).min(RATES.len() as u16 - 1);
-    }
-}
-
-/// Models in a fixed order.
-pub(super) trait Models {
-    /// Sets each model.
-    fn set(&mut self, next: &mut dyn FnMut() -> Model);
-}
-
-impl Models for Model {
-    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
-        *self = next();
-    }
-}
-
-impl<M: Models, const N: usize> Models for [M; N] {
-    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
-        self.iter_mut().for_each(|models| models.set(next));
-    }
-}
-
-/// The models of [`Coder::number`].
+/// The contexts of [`Coder::signed`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct NumberModels {
-    length: [Model; NUMBER_BITS],
-    first: [Model; NUMBER_BITS],
+pub(super) struct SignedContexts {
+    pub(super) is_not_zero: Context,
+    pub(super) is_negative: Context,
+    pub(super) size: NumberContexts,
 }
 
-impl NumberModels {
-    pub(super) const START: Self =
-        Self { length: [Model::START; NUMBER_BITS], first: [Model::START; NUMBER_BITS] };
-}
+/// A bit and its context, in one word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CodedBit(u16);
 
-impl Models for NumberModels {
-    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
-        self.length.set(next);
-        self.first.set(next);
+impl CodedBit {
+    fn new(Context(place): Context, bit: bool) -> Self {
+        Self(place << 1 | u16::from(bit))
+    }
+
+    /// The place of the context, unless the bit is one of the equally likely ones.
+    pub(super) fn place(self) -> Option<usize> {
+        let place = self.0 >> 1;
+        (place != EVEN_PLACE).then_some(usize::from(place))
+    }
+
+    pub(super) fn is_one(self) -> bool {
+        self.0 & 1 == 1
     }
 }
 
-/// The models of [`Coder::signed`].
-#[derive(Clone, Copy, Debug)]
-pub(super) struct SignedModels {
-    is_not_zero: Model,
-    is_negative: Model,
-    size: NumberModels,
+/// The probability of a one in each context, in units of 2⁻¹⁵.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Tables {
+    pub(super) ones: Vec<u16>,
 }
 
-impl SignedModels {
-    pub(super) const START: Self =
-        Self { is_not_zero: Model::START, is_negative: Model::START, size: NumberModels::START };
-}
-
-impl Models for SignedModels {
-    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
-        self.is_not_zero.set(next);
-        self.is_negative.set(next);
-        self.size.set(next);
+impl Tables {
+    /// The probability of a one in the context of a bit.
+    #[inline(always)]
+    fn one(&self, bit: CodedBit) -> u32 {
+        bit.place().and_then(|place| self.ones.get(place)).map_or(ONE / 2, |one| u32::from(*one))
     }
 }
 
-/// The encoder.
-#[derive(Debug)]
-pub(super) struct Encoder {
-    low: u64,
-    range: u32,
-    /// The last byte that a carry can change. With the 0xff bytes after it, there are `num_held` bytes.
-    held: u8,
-    num_held: u32,
-    bytes: Vec<u8>,
+/// Notes all bits of a tile.
+#[derive(Clone, Debug, Default)]
+pub(super) struct BitRecorder {
+    pub(super) bits: Vec<CodedBit>,
 }
 
-impl Encoder {
-    pub(super) fn new() -> Self {
-        Self { low: 0, range: u32::MAX, held: 0, num_held: 1, bytes: Vec::new() }
-    }
-
-    /// Returns all bytes.
-    pub(super) fn finish(mut self) -> Vec<u8> {
-        for _ in 0..5 {
-            self.shift();
-        }
-        // The byte held before the first one is always 0.
-        self.bytes.remove(0);
-        self.bytes
-    }
-
-    fn shift(&mut self) {
-        let carry = (self.low >> 32) as u8;
-        if carry == 1 || self.low < 0xff00_0000 {
-            self.bytes.push(self.held.wrapping_add(carry));
-            for _ in 1..self.num_held {
-                self.bytes.push(0xffu8.wrapping_add(carry));
-            }
-            self.held = (self.low >> 24) as u8;
-            self.num_held = 0;
-        }
-        self.num_held += 1;
-        self.low = (self.low & 0x00ff_ffff) << 8;
+impl BitRecorder {
+    /// How often each context had a zero and a one.
+    pub(super) fn tally(&self) -> Tally {
+        let mut tally = Tally::default();
+        self.bits.iter().for_each(|bit| tally.add(*bit));
+        tally
     }
 }
 
-impl Coder for Encoder {
+impl Coder for BitRecorder {
     const ENCODES: bool = true;
 
-    fn bit(&mut self, model: &mut Model, bit: bool) -> bool {
-        let bound = (self.range >> PROBABILITY_BITS) * model.probability();
-        if bit {
-            self.range = bound;
-        } else {
-            self.low += u64::from(bound);
-            self.range -= bound;
-        }
-        model.learn(bit);
-        while self.range < 1 << 24 {
-            self.range <<= 8;
-            self.shift();
-        }
+    fn bit(&mut self, context: Context, bit: bool) -> bool {
+        self.bits.push(CodedBit::new(context, bit));
         bit
-    }
-
-    fn raw(&mut self, count: u32, value: u32) -> u32 {
-        for i in (0..count).rev() {
-            self.range >>= 1;
-            if value >> i & 1 == 1 {
-                self.low += u64::from(self.range);
-            }
-            while self.range < 1 << 24 {
-                self.range <<= 8;
-                self.shift();
-            }
-        }
-        value
     }
 
     fn is_overrun(&self) -> bool {
@@ -229,115 +154,144 @@ impl Coder for Encoder {
     }
 }
 
-/// The decoder. It reads zeros beyond the end of its bytes.
+/// The bytes of a tile's bits: a state of 32 bits, and words of 16 bits. All are little-endian, in the order in which a
+/// decoder reads them.
+pub(super) fn encoded(bits: &[CodedBit], tables: &Tables) -> Vec<u8> {
+    let mut state = LEAST_STATE;
+    let mut words = Vec::with_capacity(bits.len() / 32);
+    // The last bit that is coded is the first that is read.
+    for bit in bits.iter().rev() {
+        let one = tables.one(*bit);
+        let (start, width) = if bit.is_one() { (0, one) } else { (one, ONE - one) };
+        if u64::from(state) >= u64::from(width) << (32 - PROBABILITY_BITS) {
+            words.push(state as u16);
+            state >>= 16;
+        }
+        state = ((state / width) << PROBABILITY_BITS) + state % width + start;
+    }
+    let mut bytes = state.to_le_bytes().to_vec();
+    bytes.extend(words.iter().rev().flat_map(|word| word.to_le_bytes()));
+    bytes
+}
+
+/// How often each context had a zero and a one.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::codec) struct Tally {
+    pub(super) of_places: Vec<[u32; 2]>,
+}
+
+impl Default for Tally {
+    fn default() -> Self {
+        Self { of_places: vec![[0; 2]; PRIOR.len()] }
+    }
+}
+
+impl Tally {
+    /// Adds a bit. The sums do not depend on the order.
+    #[inline(always)]
+    pub(super) fn add(&mut self, bit: CodedBit) {
+        if let Some(counts) = bit.place().and_then(|place| self.of_places.get_mut(place)) {
+            let count = &mut counts[usize::from(bit.is_one())];
+            *count = count.wrapping_add(1);
+        }
+    }
+
+    /// Both together.
+    pub(in crate::codec) fn and(mut self, other: &Self) -> Self {
+        for (counts, others) in
+            self.of_places.as_flattened_mut().iter_mut().zip(other.of_places.as_flattened())
+        {
+            *counts = counts.wrapping_add(*others);
+        }
+        self
+    }
+}
+
+/// Reads the bits of a tile. It reads zeros beyond the end of its bytes.
 #[derive(Debug)]
 pub(super) struct Decoder<'a> {
-    code: u32,
-    range: u32,
-    bytes: &'a [u8],
+    state: u32,
+    words: &'a [[u8; 2]],
     at: usize,
+    tables: &'a Tables,
+    /// What was read.
+    pub(super) tally: Tally,
 }
 
 impl<'a> Decoder<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
-        let mut decoder = Self { code: 0, range: u32::MAX, bytes, at: 0 };
-        for _ in 0..4 {
-            decoder.code = decoder.code << 8 | decoder.next();
-        }
+    /// A decoder that adds what it reads to a tally.
+    pub(super) fn new(bytes: &'a [u8], tables: &'a Tables, tally: Tally) -> Self {
+        let words = bytes.as_chunks().0;
+        let mut decoder = Self { state: 0, words, at: 0, tables, tally };
+        let low = decoder.next();
+        decoder.state = low | decoder.next() << 16;
         decoder
     }
 
+    #[inline(always)]
     fn next(&mut self) -> u32 {
-        let byte = self.bytes.get(self.at).copied().unwrap_or(0);
+        let word = self.words.get(self.at).map_or(0, |word| u16::from_le_bytes(*word));
         self.at += 1;
-        byte.into()
+        word.into()
+    }
+
+    /// Whether exactly the bits of an encoder were read.
+    pub(super) fn is_at_end(&self) -> bool {
+        self.at == self.words.len() && self.state == LEAST_STATE
     }
 }
 
 impl Coder for Decoder<'_> {
     const ENCODES: bool = false;
 
-    fn bit(&mut self, model: &mut Model, _: bool) -> bool {
-        let bound = (self.range >> PROBABILITY_BITS) * model.probability();
-        let bit = self.code < bound;
-        if bit {
-            self.range = bound;
-        } else {
-            self.code -= bound;
-            self.range -= bound;
+    #[inline(always)]
+    fn bit(&mut self, context: Context, _: bool) -> bool {
+        let one = self.tables.one(CodedBit::new(context, false));
+        let low = self.state & (ONE - 1);
+        let bit = low < one;
+        let (start, width) = if bit { (0, one) } else { (one, ONE - one) };
+        // The product has at most 32 bits: a state of s becomes at most s.
+        self.state = width * (self.state >> PROBABILITY_BITS) + low - start;
+        if self.state < LEAST_STATE {
+            self.state = self.state << 16 | self.next();
         }
-        model.learn(bit);
-        while self.range < 1 << 24 {
-            self.range <<= 8;
-            self.code = self.code << 8 | self.next();
-        }
+        self.tally.add(CodedBit::new(context, bit));
         bit
     }
 
-    fn raw(&mut self, count: u32, _: u32) -> u32 {
-        let mut value = 0;
-        for _ in 0..count {
-            self.range >>= 1;
-            let bit = self.code >= self.range;
-            if bit {
-                self.code -= self.range;
-            }
-            value = value << 1 | u32::from(bit);
-            while self.range < 1 << 24 {
-                self.range <<= 8;
-                self.code = self.code << 8 | self.next();
-            }
-        }
-        value
-    }
-
     fn is_overrun(&self) -> bool {
-        self.at > self.bytes.len()
+        self.at > self.words.len()
     }
 }
 
-impl Decoder<'_> {
-    /// Whether exactly the bytes of an encoder were read.
-    pub(super) fn is_at_end(&self) -> bool {
-        self.at == self.bytes.len()
-    }
-}
-
-const PROBABILITY_BITS: u32 = 15;
-/// Least probability of either bit, in units of 2⁻¹⁵. The likely one then takes 0.002 bits.
-const LEAST: u32 = 24;
-/// Steps of an estimate in units of 2⁻¹⁴: 1/(n + 1.5).
-const RATES: [i32; MAX_SEEN] = {
-    let mut rates = [0; MAX_SEEN];
-    let mut n = 0;
-    while n < MAX_SEEN {
-        rates[n] = (2 << RATE_BITS) / (2 * n as i32 + 3);
-        n += 1;
-    }
-    rates
-};
-const RATE_BITS: u32 = 14;
-/// After this number of bits, the steps of an estimate stay the same. It is steady but follows the picture.
-const MAX_SEEN: usize = 80;
+pub(super) const PROBABILITY_BITS: u32 = 15;
+/// Certainty, in the unit of probabilities.
+pub(super) const ONE: u32 = 1 << PROBABILITY_BITS;
+/// States are from here to 2³² − 1 between two bits.
+const LEAST_STATE: u32 = 1 << 16;
+const EVEN_PLACE: u16 = u16::MAX >> 1;
 const NUMBER_BITS: usize = 20;
 const MAX_NUMBER: u32 = (1 << NUMBER_BITS) - 2;
 
 #[cfg(test)]
 mod tests {
+    use super::super::tables::Counts;
     use super::*;
+
+    const NUMBER: NumberContexts = NumberContexts { length: [Context(40); 20], first: [Context(41); 20] };
+    const SIGNED: SignedContexts =
+        SignedContexts { is_not_zero: Context(42), is_negative: Context(43), size: NUMBER };
 
     /// A walk over all forms of coding, the same in both directions.
     fn walk(coder: &mut impl Coder, values: &mut [i32]) {
-        let mut bit = [Model::START; 2];
-        let mut tree = [Model::START; 32];
-        let mut unary = [Model::START; 7];
-        let mut signed = SignedModels::START;
+        let tree: [Context; 32] = std::array::from_fn(|i| Context(i as u16));
+        let unary: [Context; 7] = std::array::from_fn(|i| Context(50 + i as u16));
         for (i, v) in values.iter_mut().enumerate() {
             *v = match i % 5 {
-                0 => i32::from(coder.bit(&mut bit[i / 5 % 2], *v != 0)),
-                1 => coder.tree(&mut tree, 5, *v as u32) as i32,
-                2 => coder.unary(&mut unary, *v as u32) as i32,
-                3 => coder.signed(&mut signed, *v),
+                0 => i32::from(coder.bit(Context(60 + (i / 5 % 2) as u16), *v != 0)),
+                1 => coder.tree(&tree, 5, *v as u32) as i32,
+                2 => coder.unary(&unary, *v as u32) as i32,
+                3 => coder.signed(&SIGNED, *v),
                 _ => coder.raw(13, *v as u32) as i32,
             };
         }
@@ -366,21 +320,28 @@ mod tests {
         for n in [0, 1, 5, 400, 20_000] {
             let mut wanted = values(n);
             if n > 0 {
-                // The extremes of a signed number, and runs that carry.
                 wanted.iter_mut().skip(3).step_by(5).step_by(7).for_each(|v| *v = -((1 << 20) - 1));
             }
-            let mut encoder = Encoder::new();
-            walk(&mut encoder, &mut wanted.clone());
-            let bytes = encoder.finish();
-            let mut decoder = Decoder::new(&bytes);
-            let mut found = vec![0; n];
-            walk(&mut decoder, &mut found);
-            assert_eq!(found, wanted);
-            assert!(decoder.is_at_end() && !decoder.is_overrun());
-            if n > 400 {
-                let mut decoder = Decoder::new(&bytes[..bytes.len() - 9]);
+            let mut recorder = BitRecorder::default();
+            walk(&mut recorder, &mut wanted.clone());
+            let counts = Counts::default().with(&recorder.tally());
+            for tables in [Tables::prior(), &counts.tables()] {
+                let bytes = encoded(&recorder.bits, tables);
+                let mut decoder = Decoder::new(&bytes, tables, Tally::default());
+                let mut found = vec![0; n];
                 walk(&mut decoder, &mut found);
-                assert!(decoder.is_overrun() && !decoder.is_at_end());
+                assert_eq!((&found, &decoder.tally), (&wanted, &recorder.tally()));
+                assert!(decoder.is_at_end() && !decoder.is_overrun());
+                if n > 400 {
+                    let mut decoder = Decoder::new(&bytes[..bytes.len() - 10], tables, Tally::default());
+                    walk(&mut decoder, &mut found);
+                    assert!(decoder.is_overrun() && !decoder.is_at_end());
+                    // The control: another bit gives other values.
+                    let mut damaged = bytes.clone();
+                    damaged[n / 3] ^= 4;
+                    walk(&mut Decoder::new(&damaged, tables, Tally::default()), &mut found);
+                    assert_ne!(found, wanted);
+                }
             }
         }
     }
@@ -388,17 +349,18 @@ mod tests {
     #[test]
     fn bytes_come_near_to_the_entropy() {
         let n = 40_000;
-        let mut encoder = Encoder::new();
-        let mut model = Model::START;
+        let mut recorder = BitRecorder::default();
         let mut ones = 0;
         for v in values(5 * n).into_iter().step_by(5) {
             ones += v;
-            encoder.bit(&mut model, v != 0);
+            recorder.bit(Context(3), v != 0);
         }
         let p = f64::from(ones) / n as f64;
         let entropy = -(p * p.log2() + (1.0 - p) * (1.0 - p).log2()) * n as f64 / 8.0;
-        let found = encoder.finish().len() as f64;
-        // An estimate that moves by 1/80 of the error is off by so much that a bit in fifty costs some 5 % more.
-        assert!(found < 1.06 * entropy && found > 0.98 * entropy, "{found} {entropy}");
+        let counts = Counts::default().with(&recorder.tally());
+        let found = encoded(&recorder.bits, &counts.tables()).len() as f64;
+        assert!(found < 1.01 * entropy && found > 0.99 * entropy, "{found} {entropy}");
+        // The control: the prior fits worse.
+        assert!(encoded(&recorder.bits, Tables::prior()).len() as f64 > 1.05 * entropy);
     }
 }

@@ -1,12 +1,18 @@
-//! The head of a payload: step sizes, reference and bands. It is the same in all chunks of a frame.
+//! The head of a payload: step sizes, reference and bands. It is the same in all chunks of a frame. Then, where the
+//! streams of tiles are.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::super::bands::Borders;
-use super::super::error::CodecError;
+use super::super::error::{CodecError, at_most};
 use super::super::header::{ChunkHeader, HEADER_BYTES};
 use super::super::limits::MAX_CHUNKS;
-use super::model::{BandPlace, blocks_along};
+use super::model::{BLOCK_LISTS, TilePlace, tiles_along};
 use super::steps::{STEPS_BYTES, StepSizes};
+use super::tile::FrameTile;
+use crate::camera::Intrinsics;
 use crate::ids::FrameId;
+use crate::layer::FrameHeader;
 
 /// The head of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,7 +20,7 @@ pub(in crate::codec) struct Head {
     pub(super) steps: StepSizes,
     /// The frame that this one is predicted from.
     pub(super) reference: Option<FrameId>,
-    /// Where the bands end, in rows of blocks.
+    /// Where the bands end, in rows of tiles.
     pub(super) borders: Borders,
 }
 
@@ -39,26 +45,18 @@ impl Head {
         let steps = StepSizes::from_bytes(steps)
             .ok_or_else(|| damaged(format!("steps {steps:02x?}, expected positive ones")))?;
         *bytes = rest;
-        let num_rows = blocks_along(header.frame.camera.intrinsics.height);
+        let num_rows = tiles_along(header.frame.camera.intrinsics.height);
         let borders = Borders::read(bytes, header.num_chunks, num_rows)?;
         Ok(Self { steps, reference, borders })
     }
 
-    /// The place of the chunk's band in the frame.
-    pub(super) fn place(&self, header: &ChunkHeader) -> BandPlace {
-        place(self.borders, &header.frame, header.index.0.into())
-    }
-}
-
-/// The place of a band in a frame.
-pub(super) fn place(borders: Borders, frame: &crate::layer::FrameHeader, band: usize) -> BandPlace {
-    let intrinsics = frame.camera.intrinsics;
-    let rows = borders.rows(band, blocks_along(intrinsics.height));
-    BandPlace {
-        across: blocks_along(intrinsics.width),
-        first_row: rows.start,
-        num_rows: rows.len(),
-        size: [intrinsics.width as usize, intrinsics.height as usize],
+    /// The tiles of a band, row by row.
+    pub(super) fn tiles(&self, frame: &FrameHeader, band: usize) -> Vec<TilePlace> {
+        let Intrinsics { width, height, .. } = frame.camera.intrinsics;
+        let size = [width as usize, height as usize];
+        let rows = self.borders.rows(band, tiles_along(height));
+        let of_row = |row| (0..tiles_along(width)).map(move |column| TilePlace::of(column, row, size));
+        rows.flat_map(of_row).collect()
     }
 }
 
@@ -78,6 +76,98 @@ fn named(&[is_predicted, a, b, c, d, ..]: &[u8; HEAD_BYTES]) -> Result<Option<Fr
 /// The reference that a chunk in blocks names. `None` for other bytes.
 pub fn reference_named(bytes: &[u8]) -> Option<FrameId> {
     named(bytes.get(HEADER_BYTES..)?.first_chunk()?).ok()?
+}
+
+/// Writes the streams of a band's tiles: a bit for each tile that has one, the words of each, and the streams.
+pub(super) fn write_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
+    out.extend(streams.chunks(8).map(|eight| {
+        eight.iter().enumerate().fold(0u8, |bits, (i, stream)| bits | u8::from(!stream.is_empty()) << i)
+    }));
+    for stream in streams.iter().filter(|stream| !stream.is_empty()) {
+        let mut num_words = stream.len() / 2;
+        while num_words >= 0x80 {
+            out.push(num_words as u8 | 0x80);
+            num_words >>= 7;
+        }
+        out.push(num_words as u8);
+    }
+    streams.iter().for_each(|stream| out.extend(stream));
+}
+
+/// Reads what [`write_streams`] writes for so many tiles: the stream of each tile that has one.
+pub(super) fn read_streams(bytes: &[u8], num_tiles: usize) -> Result<Vec<Option<&[u8]>>, CodecError> {
+    let damaged = |problem: &str| CodecError::Payload { plane: "tiles", problem: problem.into() };
+    let early = || damaged("ends too early");
+    let (map, mut rest) = bytes.split_at_checked(num_tiles.div_ceil(8)).ok_or_else(early)?;
+    let is_sent = |tile: usize| map[tile / 8] >> (tile % 8) & 1 == 1;
+    if (num_tiles..map.len() * 8).any(is_sent) {
+        return Err(damaged("a stream for a tile outside of the frame"));
+    }
+    let mut lengths = Vec::new();
+    for _ in (0..num_tiles).filter(|tile| is_sent(*tile)) {
+        let (mut num_words, mut shift) = (0usize, 0);
+        loop {
+            let (&byte, after) = rest.split_first().ok_or_else(early)?;
+            rest = after;
+            num_words |= usize::from(byte & 0x7f) << shift;
+            shift += 7;
+            if byte < 0x80 {
+                break;
+            }
+            if shift > 21 {
+                return Err(damaged("a stream that is too long"));
+            }
+        }
+        lengths.push(2 * num_words);
+    }
+    let mut lengths = lengths.into_iter();
+    let mut streams = Vec::with_capacity(num_tiles);
+    for tile in 0..num_tiles {
+        streams.push(match is_sent(tile).then(|| lengths.next()).flatten() {
+            Some(length) => {
+                let (stream, after) = rest.split_at_checked(length).ok_or_else(early)?;
+                rest = after;
+                Some(stream)
+            }
+            None => None,
+        });
+    }
+    if !rest.is_empty() {
+        return Err(damaged("bytes are left over"));
+    }
+    Ok(streams)
+}
+
+/// Counts what the tiles of a chunk have, so that few bytes do not take much memory.
+#[derive(Debug)]
+pub(super) struct Room {
+    /// Most segments.
+    limit: usize,
+    segments: AtomicUsize,
+    rows: AtomicUsize,
+    layers: AtomicUsize,
+    corrected: AtomicUsize,
+}
+
+impl Room {
+    /// Room for so many segments, and for what they may need.
+    pub(super) fn new(limit: usize) -> Self {
+        let [segments, rows, layers, corrected] = Default::default();
+        Self { limit, segments, rows, layers, corrected }
+    }
+
+    /// Adds a tile with so many corrected blocks.
+    ///
+    /// # Errors
+    /// If all tiles together are above the limits of a chunk.
+    pub(super) fn take(&self, tile: &FrameTile, num_corrected: usize) -> Result<(), CodecError> {
+        let add = |all: &AtomicUsize, num| all.fetch_add(num, Ordering::Relaxed) + num;
+        let limit = self.limit;
+        at_most("segments in a chunk", add(&self.segments, tile.num_cells()), limit)?;
+        at_most("rows of segments in a chunk", add(&self.rows, tile.num_rows()), limit / 4)?;
+        at_most("layers in a chunk", add(&self.layers, tile.planes.len()), limit / 8)?;
+        at_most("corrected blocks in a chunk", add(&self.corrected, num_corrected), limit / BLOCK_LISTS)
+    }
 }
 
 /// Size of [`Head`] without borders, bytes.

@@ -3,9 +3,12 @@
 //!
 //! The server finds a block's layers (`layer_search`, `encode`). Their depth planes are coded in steps, or taken from
 //! a neighbour, or moved from the reference (`coding`, `motion`, `reference`). Opacity and colour of a layer are 8×8
-//! planes (`scales`). They are predicted and transformed (`residual`) and coded in adaptive bits (`syntax`,
-//! `entropy`). The last plane of a block corrects the picture at the frame's own pose (`corrections`). Borders
-//! between blocks are smoothed (`smooth`). The encoder works with what a decoder will have (closed loop).
+//! planes (`scales`). They are predicted and transformed (`residual`) and coded in bits (`syntax`, `entropy`), whose
+//! probabilities are known from the frames before (`tables`). The last plane of a block corrects the picture at the
+//! frame's own pose (`corrections`). Borders between blocks are smoothed (`smooth`). The encoder works with what a
+//! decoder will have (closed loop).
+//!
+//! A tile is 8×8 blocks, and has a stream of its own. So tiles are coded in parallel, in both directions.
 //!
 //! One rule makes every machine decode alike. A decoder computes with integers, with tables made of sums, products,
 //! quotients and square roots, and with single and double precision operations in the order written. It calls no
@@ -19,18 +22,18 @@
 //! | `transform` | the 8×8 cosine transform |
 //! | `scales` | codes of opacity and colour |
 //! | `smooth` | borders between blocks |
-//! | `entropy` | the binary range coder |
-//! | `trained` | estimates that contexts begin with |
+//! | `prior` | probabilities that a frame alone begins with |
+//! | `entropy`, `tables` | bits with fixed probabilities, and these |
 //! | `syntax` | contexts, masks and coefficients |
 //! | `steps` | settings to steps |
 //! | `motion` | where matter lies in the picture of a reference |
-//! | `band` | the decoded blocks of a band |
-//! | `reference` | frames that others are predicted from |
-//! | `to_frame` | decoded blocks as lists |
-//! | `head` | the head of a payload |
+//! | `tile` | the decoded blocks of a tile |
 //! | `residual` | a plane as prediction and coefficients |
 //! | `corrections` | corrections of the picture |
-//! | `coding` | the blocks of a band, in both directions |
+//! | `reference` | frames that others are predicted from |
+//! | `to_frame` | decoded blocks as lists |
+//! | `head` | the head of a payload, and its streams |
+//! | `coding` | the blocks of a tile, in both directions |
 //! | `bands` | bands of about the same work |
 //! | `layer_search` | lists to layers |
 //! | `encode` | encoding |
@@ -38,7 +41,6 @@
 //! | `raster` | pictures coded as planes are, for comparisons |
 //! | `rate` | bytes to quality |
 
-mod band;
 mod bands;
 mod coding;
 mod corrections;
@@ -49,6 +51,7 @@ mod head;
 mod layer_search;
 mod model;
 mod motion;
+mod prior;
 pub mod raster;
 mod rate;
 mod reference;
@@ -57,16 +60,18 @@ mod scales;
 mod smooth;
 mod steps;
 mod syntax;
+mod tables;
 #[cfg(test)]
 pub(super) mod tests;
+mod tile;
 mod to_frame;
-mod trained;
 mod transform;
 
-pub(super) use band::Band;
 pub(super) use bands::work_of_rows;
 pub(super) use decode::{decode, decode_band};
 pub(super) use encode::{BlocksPlan, EncodedBand, encode_while};
+pub(super) use entropy::Tally;
+pub(super) use reference::{CodedTile, Notes};
 
 pub use encode::encode;
 pub use head::reference_named;
@@ -77,5 +82,5 @@ pub use steps::{MAX_QUALITY, MAX_TURN_DEG, Settings};
 /// Makes the tables.
 pub(super) fn prepare() {
     scales::scales();
-    syntax::Contexts::new();
+    entropy::Tables::prior();
 }

@@ -6,6 +6,8 @@ use glam::Vec3;
 pub(super) const BLOCK: usize = 8;
 /// Number of lists in a block.
 pub(super) const BLOCK_LISTS: usize = BLOCK * BLOCK;
+/// Number of blocks along a side of a tile.
+pub(super) const TILE: usize = 8;
 /// Most layers of a block.
 pub(super) const MAX_LAYERS: usize = 24;
 
@@ -67,23 +69,36 @@ impl Default for BlockLayer {
     }
 }
 
-/// Place of a band in its frame.
+/// The blocks of a tile in their frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct BandPlace {
+pub(super) struct TilePlace {
+    /// Column and row of its first block in the frame.
+    pub(super) first: [usize; 2],
     /// Blocks to a row.
     pub(super) across: usize,
-    /// The first row of blocks, and the number of rows.
-    pub(super) first_row: usize,
     pub(super) num_rows: usize,
     /// Columns and rows of lists in the frame.
     pub(super) size: [usize; 2],
 }
 
-impl BandPlace {
+impl TilePlace {
+    /// The tile at a column and a row of tiles.
+    pub(super) fn of(column: usize, row: usize, size: [usize; 2]) -> Self {
+        let first = [column * TILE, row * TILE];
+        let [across, num_rows] =
+            [0, 1].map(|axis| size[axis].div_ceil(BLOCK).saturating_sub(first[axis]).min(TILE));
+        Self { first, across, num_rows, size }
+    }
+
+    /// Column and row in the frame of a block of the tile.
+    pub(super) fn in_frame(&self, x: usize, y: usize) -> [usize; 2] {
+        [x + self.first[0], y + self.first[1]]
+    }
+
     /// Mask of a block's lists inside the frame.
     pub(super) fn inside(&self, x: usize, y: usize) -> u64 {
-        let [columns, rows] = [(x, 0), (y + self.first_row, 1)]
-            .map(|(at, axis)| self.size[axis].saturating_sub(at * BLOCK).min(BLOCK));
+        let at = self.in_frame(x, y);
+        let [columns, rows] = [0, 1].map(|axis| self.size[axis].saturating_sub(at[axis] * BLOCK).min(BLOCK));
         let row = (1u64 << columns) - 1;
         (0..rows).fold(0, |mask, y| mask | row << (y * BLOCK))
     }
@@ -92,4 +107,9 @@ impl BandPlace {
 /// Number of blocks along a side of `side` lists.
 pub(super) fn blocks_along(side: u32) -> usize {
     (side as usize).div_ceil(BLOCK)
+}
+
+/// Number of tiles along a side of `side` lists.
+pub(super) fn tiles_along(side: u32) -> usize {
+    blocks_along(side).div_ceil(TILE)
 }

@@ -3,7 +3,7 @@
 //! form. It serves to compare the coding of planes with image codecs on the same planes.
 
 use super::super::error::CodecError;
-use super::entropy::{Coder, Decoder, Encoder};
+use super::entropy::{BitRecorder, Coder, Decoder, Tables, Tally, encoded};
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::residual::{Expected, residual};
 use super::scales::{roots_from_ycc, ycc_from_roots};
@@ -27,13 +27,18 @@ pub struct BlockPicture {
 impl BlockPicture {
     /// Encodes samples from 0 to 1, row by row, with the channels of a pixel side by side.
     pub fn encode(&self, samples: &[f32]) -> Vec<u8> {
-        self.code(Encoder::new(), samples, None).finish()
+        let recorder = self.code(BitRecorder::default(), samples, None);
+        let (tables, mut bytes) = Tables::changed(&recorder.tally());
+        bytes.extend(encoded(&recorder.bits, &tables));
+        bytes
     }
 
-    /// Decodes the samples, with their coding error. A damaged stream gives other samples or ends too early.
+    /// Decodes the samples, with their coding error.
     pub fn decode(&self, bytes: &[u8]) -> Result<Vec<f32>, CodecError> {
         let mut whole = Vec::new();
-        if self.code(Decoder::new(bytes), &[], Some(&mut whole)).is_overrun() {
+        let mut coded = bytes;
+        let tables = Tables::read(&mut coded)?;
+        if !self.code(Decoder::new(coded, &tables, Tally::default()), &[], Some(&mut whole)).is_at_end() {
             return Err(CodecError::Payload { plane: "picture", problem: "ends too early".into() });
         }
         self.smooth(&mut whole);
@@ -59,7 +64,7 @@ impl BlockPicture {
         mut whole: Option<&mut Vec<[BlockPlane; 3]>>,
     ) -> C {
         let [width, height] = self.size;
-        let mut contexts = Contexts::new();
+        let contexts = Contexts::all();
         let across = width.div_ceil(BLOCK);
         // Means and classes of the components of all blocks so far.
         let mut coded: Vec<[(f32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
@@ -87,7 +92,7 @@ impl BlockPicture {
                 };
                 let (class, _) = residual(
                     &mut coder,
-                    &mut contexts,
+                    contexts,
                     component,
                     [in_front, beside],
                     steps[c],

@@ -3,11 +3,15 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::band::{Band, CellLayer, CellPlanes, NO_CELLS, greater, lesser};
-use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, lists_of};
+use super::corrections::{self, TilePicture};
+use super::entropy::Tables;
+use super::entropy::Tally;
+use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, TILE, lists_of, tiles_along};
 use super::motion::{ReferenceMotion, Shift};
 use super::scales::{f32_from_fixed, scales, whole};
 use super::steps::StepSizes;
+use super::tables::Counts;
+use super::tile::{CellLayer, CellPlanes, FrameTile, NO_CELLS, greater, lesser};
 use super::transform::BlockPlane;
 use crate::ids::FrameId;
 use crate::layer::FrameHeader;
@@ -18,35 +22,68 @@ pub struct Reference {
     pub(super) header: FrameHeader,
     /// The steps of its coding.
     pub(super) steps: Option<StepSizes>,
-    pub(super) bands: Vec<Arc<Band>>,
-    /// For each row of blocks, its band and its row in that band.
-    pub(super) rows: Vec<(u8, u32)>,
+    /// Its tiles, row by row.
+    pub(super) tiles: Vec<Arc<FrameTile>>,
+    /// What its contexts had, and the frames before.
+    pub(super) counts: Counts,
+    /// The probabilities that follow, of a frame that is predicted from it.
+    pub(super) tables: Tables,
     /// λ of its layers; `None` for a decoded frame.
     pub(super) lambda: Option<f32>,
-    /// Notes for each band; empty for a decoded frame.
+    /// Notes for each tile; empty for a decoded frame.
     pub(super) notes: Vec<Notes>,
 }
 
-/// For each block of a band, the error of its planes after the last search, in units of the cost of a layer. It is
+/// A tile before the picture of its frame is corrected.
+#[derive(Clone, Debug, Default)]
+pub(in crate::codec) struct CodedTile {
+    pub(super) tile: FrameTile,
+    pub(super) picture: TilePicture,
+}
+
+impl CodedTile {
+    /// Number of its blocks; 0 if nothing was sent of it.
+    pub(in crate::codec) fn num_blocks(&self) -> usize {
+        self.tile.blocks.len()
+    }
+}
+
+/// For each block of a tile, the error of its planes after the last search, in units of the cost of a layer. It is
 /// less if the planes fit better since. 0 where nothing is known.
 pub(in crate::codec) type Notes = Vec<f32>;
 
 impl PartialEq for Reference {
     fn eq(&self, other: &Self) -> bool {
-        (&self.header, &self.steps, &self.bands) == (&other.header, &other.steps, &other.bands)
+        (&self.header, &self.steps, &self.tiles, &self.counts)
+            == (&other.header, &other.steps, &other.tiles, &other.counts)
     }
 }
 
 impl Reference {
-    pub(super) fn new(header: FrameHeader, steps: Option<StepSizes>, bands: Vec<Arc<Band>>) -> Self {
-        let rows = bands
-            .iter()
-            .enumerate()
-            .flat_map(|(n, band)| {
-                (0..band.blocks.len() / band.across.max(1)).map(move |row| (n as u8, row as u32))
-            })
-            .collect();
-        Self { header, steps, bands, rows, lambda: None, notes: Vec::new() }
+    pub(super) fn new(
+        header: FrameHeader,
+        steps: Option<StepSizes>,
+        tiles: Vec<Arc<FrameTile>>,
+        counts: Counts,
+    ) -> Self {
+        let tables = counts.tables();
+        Self { header, steps, tiles, counts, tables, lambda: None, notes: Vec::new() }
+    }
+
+    /// Corrects the picture of all tiles of a frame, whose bits are counted. `before` is what it was predicted from.
+    pub(super) fn of_tiles(
+        header: FrameHeader,
+        steps: StepSizes,
+        coded: Vec<CodedTile>,
+        tally: &Tally,
+        before: Option<&Self>,
+    ) -> Self {
+        let counts = before.map(|reference| reference.counts.faded()).unwrap_or_default().with(tally);
+        let (mut tiles, mut pictures): (Vec<FrameTile>, Vec<TilePicture>) =
+            coded.into_iter().map(|CodedTile { tile, picture }| (tile, picture)).unzip();
+        let across = tiles_along(header.camera.intrinsics.width);
+        corrections::correct(&mut tiles, &mut pictures, across, steps.of_picture());
+        Self::new(header, Some(steps), tiles.into_iter().map(Arc::new).collect(), counts)
     }
 
     /// Adds the notes of its encoding.
@@ -61,33 +98,37 @@ impl Reference {
 
     /// Its size in bytes, by the count that sender and receiver share.
     fn num_bytes(&self) -> usize {
-        self.bands.iter().map(|band| band.num_bytes()).sum()
+        self.tiles.iter().map(|tile| tile.num_bytes()).sum()
     }
 
-    /// Number of cells in all bands.
-    pub(super) fn num_cells(&self) -> usize {
-        self.bands.iter().map(|band| band.num_cells()).sum()
+    /// Mean number of cells in the tiles that were sent.
+    pub(super) fn cells_per_tile(&self) -> usize {
+        let sent = self.tiles.iter().filter(|tile| !tile.blocks.is_empty());
+        let (num, cells) = sent.fold((0, 0), |(num, cells), tile| (num + 1, cells + tile.num_cells()));
+        cells / num.max(1)
     }
 
-    /// Number of bands, at least 1.
-    pub(super) fn num_bands(&self) -> usize {
-        self.bands.len().max(1)
+    /// Index of the tile with the block at column `x` and row `y` of blocks, and of the block in it. None outside of the
+    /// frame, and in a tile that was not sent.
+    fn place(&self, x: i32, y: i32) -> Option<(usize, usize)> {
+        let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);
+        let across = tiles_along(self.header.camera.intrinsics.width);
+        let index = y / TILE * across + x / TILE;
+        let tile = self.tiles.get(index).filter(|tile| x / TILE < across && x % TILE < tile.across)?;
+        let block = y % TILE * tile.across + x % TILE;
+        (block < tile.blocks.len()).then_some((index, block))
     }
 
-    /// The band of the block at column `x` and row `y` of blocks, and its index there.
-    pub(super) fn block(&self, x: i32, y: i32) -> Option<(&Band, usize)> {
-        let &(band, row) = self.rows.get(usize::try_from(y).ok()?)?;
-        let band = &*self.bands[usize::from(band)];
-        let x = usize::try_from(x).ok().filter(|&x| x < band.across)?;
-        Some((band, row as usize * band.across + x))
+    /// The tile of the block at column `x` and row `y` of blocks, and its index there.
+    pub(super) fn block(&self, x: i32, y: i32) -> Option<(&FrameTile, usize)> {
+        let (tile, block) = self.place(x, y)?;
+        Some((&self.tiles[tile], block))
     }
 
     /// The note on the block at column `x` and row `y` of blocks; 0 for none.
     pub(super) fn note(&self, [x, y]: [i32; 2]) -> f32 {
-        let Some((_, block)) = self.block(x, y) else { return 0.0 };
-        // The block exists, so its row does.
-        let (band, _) = self.rows[y as usize];
-        self.notes.get(usize::from(band)).and_then(|notes| notes.get(block)).copied().unwrap_or(0.0)
+        let Some((tile, block)) = self.place(x, y) else { return 0.0 };
+        self.notes.get(tile).and_then(|notes| notes.get(block)).copied().unwrap_or(0.0)
     }
 
     /// Column and row of the reference's block that the middle of the block at (`x`, `y`) of a frame moves to. They
@@ -95,8 +136,8 @@ impl Reference {
     pub(super) fn moved_to(&self, motion: &ReferenceMotion, x: usize, y: usize) -> Option<[i32; 2]> {
         // The depth of the move is the reference's, here or in a neighbour.
         let (front, _) = [(0, 0), (0, -1), (-1, 0), (1, 0), (0, 1)].into_iter().find_map(|(dx, dy)| {
-            let (band, block) = self.block(x as i32 + dx, y as i32 + dy)?;
-            band.planes[band.layers(block)].first()
+            let (tile, block) = self.block(x as i32 + dx, y as i32 + dy)?;
+            tile.planes[tile.layers(block)].first()
         })?;
         let middle = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
         let shift = motion.at(middle[0], middle[1], front.z)?;
@@ -236,8 +277,8 @@ fn fetch_any(
             let inside = |v: usize| v.saturating_sub(n * BLOCK).min(BLOCK);
             inside(inner)..inside(inner + num)
         });
-        let Some((band, block)) = reference.block(first_x + bx as i32, first_y + by as i32) else { continue };
-        let cells = band.cells_of(block);
+        let Some((tile, block)) = reference.block(first_x + bx as i32, first_y + by as i32) else { continue };
+        let cells = tile.cells_of(block);
         if xs.is_empty() || ys.is_empty() || cells.layers.is_empty() {
             continue;
         }

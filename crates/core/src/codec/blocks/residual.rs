@@ -27,7 +27,7 @@ impl Expected<'_> {
 #[expect(clippy::too_many_arguments, reason = "two directions in one function")]
 pub(super) fn residual<C: Coder>(
     coder: &mut C,
-    contexts: &mut Contexts,
+    contexts: &Contexts,
     component: usize,
     near: [u8; 2],
     step: f32,

@@ -13,15 +13,15 @@ pub struct Settings {
     /// [`MAX_TURN_DEG`]. With a smaller turn, more bytes go to the picture at the frame's own pose and fewer to
     /// depths. `None` suits all turns.
     pub turn_deg: Option<u8>,
-    /// Most bands; a thread codes each. More bands cost some per cent more bytes for headers and for estimates that
-    /// start anew.
+    /// Most bands, each of which a process of several may code. More bands cost bytes for headers, and for probabilities
+    /// of a frame alone. Large frames have several in any case.
     pub max_bands: u8,
 }
 
 impl Settings {
-    /// Settings of a quality, for all turns and for up to four threads.
+    /// Settings of a quality, for all turns and in one band.
     pub const fn of(quality: u8) -> Self {
-        Self { quality, turn_deg: None, max_bands: 4 }
+        Self { quality, turn_deg: None, max_bands: 1 }
     }
 }
 

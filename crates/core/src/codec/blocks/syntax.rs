@@ -1,72 +1,87 @@
 //! The syntax of masks and coefficients, and the contexts of all bits, which choose the estimate of each bit.
 
-use std::sync::LazyLock;
-
-use super::entropy::{Coder, Model, Models, NumberModels, SignedModels};
+use super::entropy::{Coder, Context, NumberContexts, SignedContexts};
 use super::model::{BLOCK, BLOCK_LISTS};
-use super::trained::TRAINED;
+use super::prior::PRIOR;
 
-/// The estimates of a band.
+/// The contexts of all bits, in the order of their places in the tables.
 #[derive(Clone, Debug)]
 pub(super) struct Contexts {
-    pub(super) has_planes: [[Model; 3]; 9],
-    pub(super) is_copied: [Model; 9],
-    pub(super) is_kept: [Model; 9],
-    pub(super) is_merged: [Model; 9],
-    pub(super) is_above: [Model; 3],
-    pub(super) num_layers: [[[Model; 32]; COUNT_CLASSES]; COUNT_CLASSES],
-    pub(super) touches: [Model; 2],
-    pub(super) depth: [[SignedModels; DEPTH_CONTEXTS]; 2],
-    pub(super) slope: [[SignedModels; 4]; 2],
-    pub(super) has_matter: [[Model; 6]; 3],
-    pub(super) is_full: [[Model; 4]; 3],
-    pub(super) is_same: [[Model; 2]; 3],
-    pub(super) occupancy: [[Model; 256]; 3],
-    pub(super) is_inter: [Model; 3],
-    pub(super) has_correction: [Model; 9],
-    is_zero: [[[Model; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
-    class: [[[[Model; 16]; COARSE]; COARSE]; COMPONENTS],
-    rest: [[Model; 32]; CLASSES],
-    size: [[[[Model; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
-    escape: NumberModels,
+    pub(super) has_planes: [[Context; 3]; 9],
+    pub(super) is_copied: [Context; 9],
+    pub(super) is_kept: [Context; 9],
+    pub(super) is_merged: [Context; 9],
+    pub(super) is_above: [Context; 3],
+    pub(super) num_layers: [[[Context; 32]; COUNT_CLASSES]; COUNT_CLASSES],
+    pub(super) touches: [Context; 2],
+    pub(super) depth: [[SignedContexts; DEPTH_CONTEXTS]; 2],
+    pub(super) slope: [[SignedContexts; 4]; 2],
+    pub(super) has_matter: [[Context; 6]; 3],
+    pub(super) is_full: [[Context; 4]; 3],
+    pub(super) is_same: [[Context; 2]; 3],
+    pub(super) occupancy: [[Context; 256]; 3],
+    pub(super) has_correction: [Context; 9],
+    is_zero: [[[Context; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
+    class: [[[[Context; 16]; COARSE]; COARSE]; COMPONENTS],
+    rest: [[Context; 32]; CLASSES],
+    size: [[[[Context; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
+    escape: NumberContexts,
 }
 
 impl Contexts {
-    /// The initial estimates, which were trained on other frames.
-    pub(super) fn new() -> Box<Self> {
-        static START: LazyLock<Contexts> = LazyLock::new(|| {
-            let mut states = TRAINED.iter();
-            let mut next = || states.next().map_or(Model::START, |&state| trained(state));
-            let mut contexts = Contexts::UNTRAINED;
-            contexts.set(&mut next);
-            contexts
-        });
-        Box::new(START.clone())
+    /// All contexts.
+    pub(super) fn all() -> &'static Self {
+        static ALL: Contexts = {
+            let (mut places, mut all) = (ContextPlaces(0), Contexts::NONE);
+            places.two(&mut all.has_planes);
+            places.one(&mut all.is_copied);
+            places.one(&mut all.is_kept);
+            places.one(&mut all.is_merged);
+            places.one(&mut all.is_above);
+            places.three(&mut all.num_layers);
+            places.one(&mut all.touches);
+            places.signed(&mut all.depth);
+            places.signed(&mut all.slope);
+            places.two(&mut all.has_matter);
+            places.two(&mut all.is_full);
+            places.two(&mut all.is_same);
+            places.two(&mut all.occupancy);
+            places.one(&mut all.has_correction);
+            places.three(&mut all.is_zero);
+            places.four(&mut all.class);
+            places.two(&mut all.rest);
+            places.four(&mut all.size);
+            places.number(&mut all.escape);
+            assert!(places.0 as usize == NUM_CONTEXTS);
+            all
+        };
+        &ALL
     }
 
-    const UNTRAINED: Self = {
-        let m = Model::START;
+    const NONE: Self = {
+        let c = Context::EVEN;
+        let number = NumberContexts { length: [c; 20], first: [c; 20] };
+        let signed = SignedContexts { is_not_zero: c, is_negative: c, size: number };
         Self {
-            has_planes: [[m; 3]; 9],
-            is_copied: [m; 9],
-            is_kept: [m; 9],
-            is_merged: [m; 9],
-            is_above: [m; 3],
-            num_layers: [[[m; 32]; COUNT_CLASSES]; COUNT_CLASSES],
-            touches: [m; 2],
-            depth: [[SignedModels::START; DEPTH_CONTEXTS]; 2],
-            slope: [[SignedModels::START; 4]; 2],
-            has_matter: [[m; 6]; 3],
-            is_full: [[m; 4]; 3],
-            is_same: [[m; 2]; 3],
-            occupancy: [[m; 256]; 3],
-            is_inter: [m; 3],
-            has_correction: [m; 9],
-            is_zero: [[[m; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
-            class: [[[[m; 16]; COARSE]; COARSE]; COMPONENTS],
-            rest: [[m; 32]; CLASSES],
-            size: [[[[m; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
-            escape: NumberModels::START,
+            has_planes: [[c; 3]; 9],
+            is_copied: [c; 9],
+            is_kept: [c; 9],
+            is_merged: [c; 9],
+            is_above: [c; 3],
+            num_layers: [[[c; 32]; COUNT_CLASSES]; COUNT_CLASSES],
+            touches: [c; 2],
+            depth: [[signed; DEPTH_CONTEXTS]; 2],
+            slope: [[signed; 4]; 2],
+            has_matter: [[c; 6]; 3],
+            is_full: [[c; 4]; 3],
+            is_same: [[c; 2]; 3],
+            occupancy: [[c; 256]; 3],
+            has_correction: [c; 9],
+            is_zero: [[[c; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
+            class: [[[[c; 16]; COARSE]; COARSE]; COMPONENTS],
+            rest: [[c; 32]; CLASSES],
+            size: [[[[c; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
+            escape: number,
         }
     };
 
@@ -74,7 +89,7 @@ impl Contexts {
     /// signs. `near` has the classes of the layer in front and of the neighbours, [`NO_CLASS`] for none. Returns the
     /// class.
     pub(super) fn coefficients(
-        &mut self,
+        &self,
         coder: &mut impl Coder,
         component: usize,
         near: [u8; 2],
@@ -82,19 +97,19 @@ impl Contexts {
     ) -> u8 {
         let class = class_of(levels.length);
         let [a, b] = near.map(usize::from);
-        if coder.bit(&mut self.is_zero[component][a][b], class == 0) {
+        if coder.bit(self.is_zero[component][a][b], class == 0) {
             levels.length = 0;
             return 0;
         }
-        let models = &mut self.class[component][coarse(a)][coarse(b)];
-        let class = (coder.tree(models, 4, u32::from(class).wrapping_sub(1)) as usize + 1).min(CLASSES - 1);
+        let contexts = &self.class[component][coarse(a)][coarse(b)];
+        let class = (coder.tree(contexts, 4, u32::from(class).wrapping_sub(1)) as usize + 1).min(CLASSES - 1);
         let first = usize::from(CLASS_FIRST[class]);
         let count =
             if class + 1 < CLASSES { usize::from(CLASS_FIRST[class + 1]) } else { BLOCK_LISTS + 1 } - first;
         let rest = if count > 1 {
             let bits = (count - 1).ilog2() + 1;
             let rest = (levels.length as u32).wrapping_sub(first as u32);
-            coder.tree(&mut self.rest[class], bits, rest).min(count as u32 - 1) as usize
+            coder.tree(&self.rest[class], bits, rest).min(count as u32 - 1) as usize
         } else {
             0
         };
@@ -103,13 +118,13 @@ impl Contexts {
         let (mut one, mut two) = (0u32, 0u32);
         for (k, level) in levels.values[..length].iter_mut().enumerate() {
             let activity = (2 * one + two).div_ceil(2).min(3) as usize;
-            let models = &mut self.size[component][POSITION[k] as usize][activity];
+            let contexts = &self.size[component][POSITION[k] as usize][activity];
             // The last coefficient is not zero.
             let least = u32::from(k + 1 == length);
             let size = level.unsigned_abs();
-            let mut coded = least + coder.unary(&mut models[least as usize..], size.saturating_sub(least));
+            let mut coded = least + coder.unary(&contexts[least as usize..], size.saturating_sub(least));
             if coded == MAX_UNARY as u32 {
-                coded += coder.number(&mut self.escape, size.saturating_sub(MAX_UNARY as u32));
+                coded += coder.number(&self.escape, size.saturating_sub(MAX_UNARY as u32));
             }
             let is_negative = coded > 0 && coder.raw(1, u32::from(*level < 0)) == 1;
             *level = if is_negative { -(coded as i32) } else { coded as i32 };
@@ -121,7 +136,7 @@ impl Contexts {
     /// Codes the mask of a layer's lists with matter. `before` is the mask of the layer in front, if any, `expected`
     /// that of the moved reference. `beside` has those of the matching layers on the left and above.
     pub(super) fn mask(
-        &mut self,
+        &self,
         coder: &mut impl Coder,
         before: Option<u64>,
         expected: Option<u64>,
@@ -130,13 +145,11 @@ impl Contexts {
     ) -> u64 {
         let reference = expected.map_or(0, |e| 1 + usize::from(e == u64::MAX));
         let shape = before.map_or(0, |b| 1 + usize::from(b == u64::MAX));
-        if coder.bit(&mut self.is_full[reference][shape], mask == u64::MAX) {
+        if coder.bit(self.is_full[reference][shape], mask == u64::MAX) {
             return u64::MAX;
         }
         let previous = before.unwrap_or(u64::MAX);
-        if before.is_some_and(|b| b != u64::MAX)
-            && coder.bit(&mut self.is_same[reference][0], mask == previous)
-        {
+        if before.is_some_and(|b| b != u64::MAX) && coder.bit(self.is_same[reference][0], mask == previous) {
             return previous;
         }
         // List (x, y) is bit x + 1 of row y + 1. Around the block are the masks of the matching layers beside it.
@@ -158,7 +171,7 @@ impl Contexts {
                     | (usize::from(x == 0) * is_edge[0]) << 6
                     | usize::from(before.is_none()) << 7;
                 let reference = expected.map_or(0, |e| 1 + (e >> i & 1) as usize);
-                let bit = coder.bit(&mut self.occupancy[reference][context], mask >> i & 1 == 1);
+                let bit = coder.bit(self.occupancy[reference][context], mask >> i & 1 == 1);
                 row |= u16::from(bit) << (x + 1);
                 coded |= u64::from(bit) << i;
             }
@@ -168,35 +181,49 @@ impl Contexts {
     }
 }
 
-impl Models for Contexts {
-    fn set(&mut self, next: &mut dyn FnMut() -> Model) {
-        self.has_planes.set(next);
-        self.is_copied.set(next);
-        self.is_kept.set(next);
-        self.is_merged.set(next);
-        self.is_above.set(next);
-        self.num_layers.set(next);
-        self.touches.set(next);
-        self.depth.set(next);
-        self.slope.set(next);
-        self.has_matter.set(next);
-        self.is_full.set(next);
-        self.is_same.set(next);
-        self.occupancy.set(next);
-        self.is_inter.set(next);
-        self.has_correction.set(next);
-        self.is_zero.set(next);
-        self.class.set(next);
-        self.rest.set(next);
-        self.size.set(next);
-        self.escape.set(next);
-    }
-}
+/// Gives places to contexts, one after the other.
+struct ContextPlaces(u16);
 
-/// An estimate of [`TRAINED`]: one of 22 probabilities and one of four weights.
-fn trained(state: u8) -> Model {
-    let state = usize::from(state.saturating_sub(FIRST_STATE));
-    Model::trained(PROBABILITIES[state / SEEN.len() % PROBABILITIES.len()], SEEN[state % SEEN.len()])
+impl ContextPlaces {
+    const fn one(&mut self, contexts: &mut [Context]) {
+        let mut i = 0;
+        while i < contexts.len() {
+            contexts[i] = Context(self.0);
+            self.0 += 1;
+            i += 1;
+        }
+    }
+
+    const fn two<const N: usize>(&mut self, contexts: &mut [[Context; N]]) {
+        self.one(contexts.as_flattened_mut());
+    }
+
+    const fn three<const N: usize, const M: usize>(&mut self, contexts: &mut [[[Context; N]; M]]) {
+        self.two(contexts.as_flattened_mut());
+    }
+
+    const fn four<const N: usize, const M: usize, const L: usize>(
+        &mut self,
+        contexts: &mut [[[[Context; N]; M]; L]],
+    ) {
+        self.three(contexts.as_flattened_mut());
+    }
+
+    const fn number(&mut self, contexts: &mut NumberContexts) {
+        self.one(&mut contexts.length);
+        self.one(&mut contexts.first);
+    }
+
+    const fn signed<const N: usize>(&mut self, contexts: &mut [[SignedContexts; N]]) {
+        let all = contexts.as_flattened_mut();
+        let mut i = 0;
+        while i < all.len() {
+            self.one(std::slice::from_mut(&mut all[i].is_not_zero));
+            self.one(std::slice::from_mut(&mut all[i].is_negative));
+            self.number(&mut all[i].size);
+            i += 1;
+        }
+    }
 }
 
 /// Quantised coefficients.
@@ -245,15 +272,8 @@ pub(super) const NO_CLASS: u8 = CLASSES as u8;
 pub(super) const COMPONENTS: usize = 8;
 /// Number of contexts of a depth: the difference of two predictions, or their number if there are fewer.
 pub(super) const DEPTH_CONTEXTS: usize = 9;
-/// The first character of [`TRAINED`].
-const FIRST_STATE: u8 = b'#';
-/// Probabilities in units of 2⁻¹⁶. Their log-odds are 0.55 apart.
-const PROBABILITIES: [u16; 22] = [
-    203, 351, 606, 1042, 1786, 3035, 5088, 8343, 13226, 19969, 28291, 37245, 45567, 52310, 57193, 60448,
-    62501, 63750, 64494, 64930, 65185, 65333,
-];
-/// Number of bits that an estimate counts as learnt from.
-const SEEN: [u16; 4] = [1, 5, 16, 50];
+/// Number of contexts.
+pub(super) const NUM_CONTEXTS: usize = PRIOR.len();
 const COUNT_CLASSES: usize = 7;
 const CLASSES: usize = 12;
 /// Least number of coefficients of each class.
@@ -281,13 +301,13 @@ const POSITION: [u8; BLOCK_LISTS] = {
 
 #[cfg(test)]
 mod tests {
-    use super::super::entropy::{Decoder, Encoder};
+    use super::super::entropy::{BitRecorder, Decoder, Tables, Tally, encoded};
     use super::*;
 
     #[test]
     fn coefficients_and_masks_come_back() {
-        let mut encoder = Encoder::new();
-        let mut contexts = Contexts::new();
+        let mut recorder = BitRecorder::default();
+        let contexts = Contexts::all();
         let planes: Vec<Levels> = (0..200usize)
             .map(|n| {
                 let length = n % 65;
@@ -306,17 +326,16 @@ mod tests {
             .collect();
         let near = |n: usize| [(n % 13) as u8, (n / 3 % 13) as u8];
         for (n, plane) in planes.iter().enumerate() {
-            contexts.coefficients(&mut encoder, n % COMPONENTS, near(n), &mut plane.clone());
+            contexts.coefficients(&mut recorder, n % COMPONENTS, near(n), &mut plane.clone());
         }
         let before = |n: usize| n.checked_sub(1).map(|n| masks[n]);
         let expected = |n: usize| (!n.is_multiple_of(3)).then(|| masks[(n + 1) % 50]);
         let beside = |n: usize| [2, 3].map(|m| n.is_multiple_of(m).then(|| masks[(n + m) % 50]));
         for (n, &mask) in masks.iter().enumerate() {
-            contexts.mask(&mut encoder, before(n), expected(n), beside(n), mask);
+            contexts.mask(&mut recorder, before(n), expected(n), beside(n), mask);
         }
-        let bytes = encoder.finish();
-        let mut decoder = Decoder::new(&bytes);
-        let mut contexts = Contexts::new();
+        let bytes = encoded(&recorder.bits, Tables::prior());
+        let mut decoder = Decoder::new(&bytes, Tables::prior(), Tally::default());
         for (n, plane) in planes.iter().enumerate() {
             let mut found = Levels::ZERO;
             let class = contexts.coefficients(&mut decoder, n % COMPONENTS, near(n), &mut found);
@@ -330,16 +349,14 @@ mod tests {
     }
 
     #[test]
-    fn every_estimate_has_a_beginning() {
-        let mut count = 0;
-        Contexts::new().set(&mut || {
-            count += 1;
-            Model::START
-        });
-        assert_eq!(count, TRAINED.len());
-        let states = 0..(PROBABILITIES.len() * SEEN.len()) as u8;
-        assert!(TRAINED.iter().all(|s| states.contains(&s.wrapping_sub(FIRST_STATE))));
-        assert_ne!(format!("{:?}", Contexts::new()), format!("{:?}", Contexts::UNTRAINED));
+    fn every_context_has_a_place_of_its_own() {
+        let text = format!("{:?}", Contexts::all());
+        let places: Vec<usize> = text
+            .split("Context(")
+            .skip(1)
+            .map(|rest| rest.split(')').next().unwrap().parse().unwrap())
+            .collect();
+        assert!(places.into_iter().eq(0..NUM_CONTEXTS));
     }
 
     #[test]

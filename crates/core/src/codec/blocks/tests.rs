@@ -2,7 +2,8 @@ use glam::Vec3;
 
 use std::sync::Arc;
 
-use super::band::Band;
+use super::tables::Counts;
+use super::tile::FrameTile;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::codec::exact::tests::soft_scene as scene;
@@ -124,11 +125,13 @@ fn what_decodes_is_what_the_encoder_worked_with() {
 
 #[test]
 fn bands_end_where_their_work_does_and_all_chunks_agree_on_it() {
-    let four = made(&scene(Builtin::Shells), 1, 48, 272, 0.0);
-    let (encoded, reference) = encode(&four, &whole(60), None).unwrap();
+    let four = made(&scene(Builtin::Shells), 1, 48, 720, 0.0);
+    let (encoded, reference) = encode(&four, &Settings { max_bands: 4, ..whole(60) }, None).unwrap();
     assert_eq!(encoded.chunks.len(), 4);
-    let rows: Vec<_> = reference.bands.iter().map(|band| band.blocks.len() / band.across).collect();
-    assert_eq!(rows.iter().sum::<usize>(), 272 / 8);
+    let at = HEADER_BYTES + head::HEAD_BYTES;
+    let end =
+        |n: usize| usize::from(u16::from_le_bytes([0, 1].map(|i| encoded.chunks[0].bytes[at + 2 * n + i])));
+    let rows = [end(0), end(1) - end(0), end(2) - end(1), 12 - end(2)];
     // The object is in the middle, so bands there are lower than those beside.
     assert!(rows[1] < rows[0] && rows[2] < rows[3], "{rows:?}");
     let mut chunks = bytes(&encoded);
@@ -136,7 +139,6 @@ fn bands_end_where_their_work_does_and_all_chunks_agree_on_it() {
     assert_eq!(decode(&chunks).unwrap(), reference.to_frame());
 
     // Moved by a row in one chunk only, the borders contradict those of the others, even if the chunk still decodes.
-    let at = HEADER_BYTES + head::HEAD_BYTES;
     let forged = |n: usize, at: usize, value: u16| {
         let mut chunks: Vec<Vec<u8>> = encoded.chunks.iter().map(|c| c.bytes.clone()).collect();
         chunks[n][at..at + 2].copy_from_slice(&value.to_le_bytes());
@@ -144,7 +146,7 @@ fn bands_end_where_their_work_does_and_all_chunks_agree_on_it() {
     };
     let found = forged(3, at, rows[0] as u16 + 1);
     assert!(matches!(found, CodecError::Contradiction { .. } | CodecError::Payload { .. }), "{found}");
-    for (n, value) in [(0, 0u16), (1, 0), (2, 34), (2, u16::MAX)] {
+    for (n, value) in [(0, 0u16), (1, 0), (2, 12), (2, u16::MAX)] {
         let found = forged(0, at + 2 * n, value);
         assert!(matches!(found, CodecError::Payload { plane: "borders", .. }), "{found}");
     }
@@ -246,7 +248,7 @@ fn what_is_noted_of_planes_goes_with_them() {
         (0..20 * 20).map(|i| reference.note([i % 20, i / 20])).collect()
     };
     let has_planes = |reference: &Reference, i: i32| {
-        reference.block(i % 20, i / 20).is_some_and(|(band, block)| !band.layers(block).is_empty())
+        reference.block(i % 20, i / 20).is_some_and(|(tile, block)| !tile.layers(block).is_empty())
     };
     for reference in [&one, &turned] {
         for (note, i) in noted(reference).into_iter().zip(0..) {
@@ -283,7 +285,7 @@ fn a_lost_frame_breaks_those_that_name_it_and_no_other() {
     assert_eq!(*found.unwrap(), four);
     for id in 10..10 + MAX_REFERENCES as u32 {
         let header = FrameHeader { frame: FrameId(id), ..frames[0].header };
-        references.insert(Arc::new(Reference::new(header, None, vec![])));
+        references.insert(Arc::new(Reference::new(header, None, vec![], Counts::default())));
     }
     assert!(references.get(FrameId(1)).is_none() && references.get(FrameId(10)).is_some());
     // A frame without blocks is no use, but no harm either.
@@ -340,11 +342,11 @@ fn a_frame_is_made_as_good_as_a_number_of_bytes_allows() {
 
 /// Counts how often an encoder asks, and says no from some time on.
 #[test]
-fn a_frame_that_is_given_up_is_left_at_the_next_row() {
+fn a_frame_that_is_given_up_is_left_at_the_next_tile() {
     use std::sync::atomic::{AtomicUsize, Ordering};
     let frame = made(&scene(Builtin::Shells), 1, 128, 128, 0.0);
     let blocks = Coding::Blocks(whole(60));
-    for (coding, at_least) in [(blocks, 16), (Coding::Exact, 2)] {
+    for (coding, at_least) in [(blocks, 4), (Coding::Exact, 2)] {
         let asked = AtomicUsize::new(0);
         let encode = |times: usize| {
             asked.store(0, Ordering::Relaxed);
@@ -378,9 +380,10 @@ fn a_rest_does_not_copy_what_was_made_for_a_lesser_turn() {
         let blocks = (0..16 * 16).map(|i| (i % 16, i / 16));
         let is_copied = |&(x, y): &(i32, i32)| {
             let [a, b] = [&decoded, &reference].map(|of: &Reference| {
-                let (band, block) = of.block(x, y).unwrap();
-                let mut one = Band::default();
-                one.copy(band, block);
+                let mut one = FrameTile::default();
+                if let Some((tile, block)) = of.block(x, y) {
+                    one.copy(tile, block);
+                }
                 one
             });
             a.num_cells() > 0 && a == b

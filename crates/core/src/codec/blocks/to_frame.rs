@@ -1,12 +1,15 @@
 //! Turns decoded blocks into a layered frame.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::super::bands::split_off;
-use super::band::{Band, CellPlanes, NO_CELLS};
-use super::model::{BLOCK, BLOCK_LISTS, lists_of};
+use super::model::{BLOCK, BLOCK_LISTS, TILE, lists_of, tiles_along};
 use super::reference::Reference;
 use super::scales::{roots, scales};
+use super::tile::{CellPlanes, FrameTile, NO_CELLS};
+use crate::camera::Intrinsics;
 use crate::layer::{LayeredFrame, pack_halves};
 
 impl Reference {
@@ -17,19 +20,19 @@ impl Reference {
 
     /// The same, in the memory of `spare`.
     pub(in crate::codec) fn to_frame_in(&self, spare: Option<LayeredFrame>) -> LayeredFrame {
-        let width = self.header.camera.intrinsics.width as usize;
-        let total: usize = self.bands.iter().map(|b| b.num_cells()).sum();
+        let Intrinsics { width, .. } = self.header.camera.intrinsics;
+        let (columns, across) = (width as usize, tiles_along(width).max(1));
+        let total: usize = self.tiles.iter().map(|tile| tile.num_cells()).sum();
         let mut frame = LayeredFrame::in_memory_of(spare, self.header, total);
         let mut ends = &mut frame.offsets[1..];
         let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
-        let mut work = Vec::with_capacity(self.bands.len());
+        let mut work = Vec::with_capacity(self.tiles.len() / across);
         let mut offset = 0;
-        for band in &self.bands {
-            let rows = band.blocks.len() / band.across.max(1) * BLOCK;
-            let lists = (rows * width).min(ends.len());
-            let count = band.num_cells();
+        for tiles in self.tiles.chunks(across) {
+            let lists = (TILE * BLOCK * columns).min(ends.len());
+            let count = tiles.iter().map(|tile| tile.num_cells()).sum();
             work.push((
-                band,
+                tiles,
                 offset as u32,
                 split_off(&mut ends, lists),
                 planes.each_mut().map(|plane| split_off(plane, count)),
@@ -37,16 +40,16 @@ impl Reference {
             offset += count;
         }
         work.into_par_iter()
-            .for_each(|(band, offset, ends, planes)| write_words(band, width, offset, ends, planes));
+            .for_each(|(tiles, offset, ends, planes)| write_words(tiles, columns, offset, ends, planes));
         frame
     }
 }
 
 wide! {
-    /// Writes the segments of a band, list by list, in the packed form of [`LayeredFrame`]. Also writes the end of
-    /// each list, counted from `offset`.
+    /// Writes the segments of a row of tiles, list by list, in the packed form of [`LayeredFrame`]. Also writes the end
+    /// of each list, counted from `offset`.
     fn write_words(
-        band: &Band,
+        tiles: &[Arc<FrameTile>],
         columns: usize,
         offset: u32,
         ends: &mut [u32],
@@ -56,7 +59,7 @@ wide! {
 
 #[inline(always)]
 fn write_words_any(
-    band: &Band,
+    tiles: &[Arc<FrameTile>],
     columns: usize,
     offset: u32,
     ends: &mut [u32],
@@ -65,11 +68,16 @@ fn write_words_any(
     let mut to = 0;
     let mut spread = NO_CELLS;
     for (y, ends) in ends.chunks_mut(columns * BLOCK).enumerate() {
-        let blocks = y * band.across..(y + 1) * band.across;
+        // Column, tile and index of each block of the row that was sent.
+        let blocks = tiles.iter().enumerate().flat_map(|(n, tile)| {
+            let row = y * tile.across..((y + 1) * tile.across).min(tile.blocks.len());
+            row.enumerate().map(move |(x, block)| (n * TILE + x, tile, block))
+        });
         // First the length of each list, then its end.
-        for (x, block) in blocks.clone().enumerate() {
+        ends.fill(0);
+        for (x, tile, block) in blocks.clone() {
             let mut lengths = [0; BLOCK_LISTS];
-            for layer in band.cells_of(block).layers {
+            for layer in tile.cells_of(block).layers {
                 for (i, length) in lengths.iter_mut().enumerate() {
                     *length += (layer.mask >> i & 1) as u32;
                 }
@@ -85,7 +93,7 @@ fn write_words_any(
             to += *end;
             *end = offset + to;
         }
-        for (x, block) in blocks.enumerate() {
+        for (x, tile, block) in blocks {
             // Index of the next segment of each list.
             let mut places = [0; BLOCK_LISTS];
             for (row, places) in places.chunks_exact_mut(BLOCK).enumerate() {
@@ -98,7 +106,7 @@ fn write_words_any(
                     };
                 }
             }
-            let mut walk = band.cells_of(block).walk(&mut spread);
+            let mut walk = tile.cells_of(block).walk(&mut spread);
             while let Some((layer, cells)) = walk.next() {
                 let words = words_of(cells);
                 for i in lists_of(layer.mask) {

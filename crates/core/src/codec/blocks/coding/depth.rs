@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use super::super::band::Planes;
 use super::super::entropy::Coder;
 use super::super::model::{BLOCK, DepthPlane, MAX_LAYERS};
 use super::super::steps::StepSizes;
 use super::super::syntax::{DEPTH_CONTEXTS, count_class};
-use super::BandCoder;
+use super::super::tile::Planes;
+use super::TileCoder;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::codec::blocks) struct PlaneCode {
@@ -16,18 +16,18 @@ pub(in crate::codec::blocks) struct PlaneCode {
     pub(in crate::codec::blocks) dy: i32,
 }
 
-impl<C: Coder> BandCoder<'_, C> {
+impl<C: Coder> TileCoder<'_, C> {
     /// Codes the planes of a block.
     pub(super) fn fresh(&mut self, codes: &[(PlaneCode, PlaneCode)], neighbors: [Range<usize>; 2]) {
         let classes = neighbors.clone().map(|n| count_class(n.len()));
-        let models = &mut self.contexts.num_layers[classes[0]][classes[1]];
-        let count = self.coder.tree(models, 5, codes.len() as u32).min(MAX_LAYERS as u32);
+        let contexts = &self.contexts.num_layers[classes[0]][classes[1]];
+        let count = self.coder.tree(contexts, 5, codes.len() as u32).min(MAX_LAYERS as u32);
         let mut last_back: Option<PlaneCode> = None;
         for i in 0..count as usize {
             let (wanted_front, wanted_back) = codes.get(i).copied().unwrap_or_default();
             let touches = last_back.is_some_and(|back| {
                 let has_touched = usize::from(i > 1);
-                self.coder.bit(&mut self.contexts.touches[has_touched], wanted_front == back)
+                self.coder.bit(self.contexts.touches[has_touched], wanted_front == back)
             });
             let front = match last_back {
                 Some(back) if touches => back,
@@ -39,7 +39,7 @@ impl<C: Coder> BandCoder<'_, C> {
             };
             let behind = front.z as f32 * self.steps.depth;
             let back = self.plane(wanted_back, behind, 1, front, &neighbors);
-            self.band.planes.push((self.steps.plane(front), self.steps.plane(back)));
+            self.tile.planes.push((self.steps.plane(front), self.steps.plane(back)));
             last_back = Some(back);
         }
     }
@@ -55,7 +55,7 @@ impl<C: Coder> BandCoder<'_, C> {
     ) -> PlaneCode {
         let front = (side == 1).then(|| self.steps.plane(otherwise));
         let next = [(0, (1.0, 0.0)), (1, (0.0, 1.0))].map(|(neighbor, step)| {
-            let planes = self.band.planes[neighbors[neighbor].clone()].iter().map(|(f, b)| {
+            let planes = self.tile.planes[neighbors[neighbor].clone()].iter().map(|(f, b)| {
                 let (f, b) = (continued(f, step), continued(b, step));
                 match &front {
                     None => f,
@@ -83,11 +83,11 @@ impl<C: Coder> BandCoder<'_, C> {
             [None, None] => (otherwise, DEPTH_CONTEXTS - 1),
         };
         let coder = &mut self.coder;
-        let models = &mut self.contexts.depth[side][context];
-        let z = expected.z.saturating_add(coder.signed(models, wanted.z.saturating_sub(expected.z)));
-        let models = &mut self.contexts.slope[side][(context / 3).min(3)];
+        let contexts = &self.contexts.depth[side][context];
+        let z = expected.z.saturating_add(coder.signed(contexts, wanted.z.saturating_sub(expected.z)));
+        let contexts = &self.contexts.slope[side][(context / 3).min(3)];
         let mut slope = |wanted: i32, expected: i32| {
-            expected.saturating_add(coder.signed(models, wanted.saturating_sub(expected)))
+            expected.saturating_add(coder.signed(contexts, wanted.saturating_sub(expected)))
         };
         let (dx, dy) = (slope(wanted.dx, expected.dx), slope(wanted.dy, expected.dy));
         PlaneCode { z, dx, dy }

@@ -2,15 +2,15 @@
 
 use std::ops::Range;
 
-use super::super::band::Planes;
 use super::super::entropy::Coder;
 use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer, lists_of};
 use super::super::reference::{HALF, fetch};
 use super::super::residual::{Expected, fixed_of, residual};
 use super::super::scales::{scales, ycc_from_roots};
 use super::super::syntax::NO_CLASS;
+use super::super::tile::Planes;
 use super::super::transform::BlockPlane;
-use super::{BandCoder, Origin};
+use super::{Origin, TileCoder};
 use crate::kernels::raycast::opacity;
 
 /// The block of a layer.
@@ -39,7 +39,7 @@ impl CodedLayer {
     }
 }
 
-impl<C: Coder> BandCoder<'_, C> {
+impl<C: Coder> TileCoder<'_, C> {
     /// Codes the matter between the planes with index `layer`.
     pub(super) fn layer(
         &mut self,
@@ -49,7 +49,7 @@ impl<C: Coder> BandCoder<'_, C> {
         mask_before: &mut Option<u64>,
     ) -> CodedLayer {
         let &BlockContext { x, y, origin, first_layer, ref neighbors } = around;
-        let planes = self.band.planes[layer];
+        let planes = self.tile.planes[layer];
         let in_front = layer.checked_sub(1).filter(|&l| l >= first_layer).map(|l| self.layers[l]);
         let expected = self.fetch((x, y), &planes);
         let wanted_mask = wanted.map_or(0, |w| w.mask);
@@ -66,7 +66,7 @@ impl<C: Coder> BandCoder<'_, C> {
             Origin::Kept | Origin::Copied => 2,
         };
         let means_in_front = in_front.map_or([0.0; 4], |l| l.means);
-        if !self.coder.bit(&mut self.contexts.has_matter[kind][likely], wanted_mask != 0) {
+        if !self.coder.bit(self.contexts.has_matter[kind][likely], wanted_mask != 0) {
             return CodedLayer::without_matter(means_in_front);
         }
         let matches = neighbors.clone().map(|n| self.overlapping(n, &planes).map(|l| self.layers[l]));
@@ -99,20 +99,16 @@ impl<C: Coder> BandCoder<'_, C> {
         });
         let known = expected.map_or(0, |e| (e & mask).count_ones());
         let sources = wanted.filter(|_| C::ENCODES).map(|w| planes_of(w, mask));
-        let mut is_inter = 2 * known > mask.count_ones();
-        if is_inter {
-            let is_better = sources.as_ref().is_some_and(|s| self.is_inter_better(s, &means, mask));
-            let full = usize::from(expected == Some(u64::MAX));
-            is_inter = self.coder.bit(&mut self.contexts.is_inter[full], is_better);
-        }
+        // A choice between the two costs more than it saves.
+        let is_inter = 2 * known > mask.count_ones();
 
         let scales = scales();
         let lists = || lists_of(mask);
         let num_lists = mask.count_ones() as f32;
-        let kappa = lists().map(|i| self.lists.kappa[i]).sum::<f32>() / num_lists;
+        let kappa = lists().map(|i| self.scratch.lists.kappa[i]).sum::<f32>() / num_lists;
         let mut coded = CodedLayer { means, classes: [0; 4], mask };
         if is_inter {
-            let [u, y, co, cg] = &self.fetched.planes;
+            let [u, y, co, cg] = &self.scratch.fetched.planes;
             let mut sums = [0.0; 4];
             for (((u, y), co), cg) in u.iter().zip(y).zip(co).zip(cg) {
                 for (sum, value) in sums.iter_mut().zip([u, y, co, cg]) {
@@ -128,7 +124,7 @@ impl<C: Coder> BandCoder<'_, C> {
         for c in 0..4 {
             if c == 1 {
                 // The decoded opacities tell how visible a colour is.
-                let seen = |i: usize| self.lists.kappa[i].max(KAPPA_FLOOR) * alphas[i];
+                let seen = |i: usize| self.scratch.lists.kappa[i].max(KAPPA_FLOOR) * alphas[i];
                 let seen = lists().map(seen).sum::<f32>() / num_lists;
                 step = self.steps.color / seen.max(SEEN_FLOOR).sqrt();
             } else if c == 2 {
@@ -137,12 +133,12 @@ impl<C: Coder> BandCoder<'_, C> {
             let component = [0, 1, 2, 2][c] + if is_inter { 4 } else { 0 };
             let source = sources.as_ref().map(|s| &s[c]);
             let expected = match is_inter {
-                true => Expected::Plane(&self.fetched.planes[c]),
+                true => Expected::Plane(&self.scratch.fetched.planes[c]),
                 false => Expected::Constant(means[c]),
             };
             let (class, mean) = residual(
                 &mut self.coder,
-                &mut self.contexts,
+                self.contexts,
                 component,
                 classes[c],
                 step,
@@ -162,44 +158,29 @@ impl<C: Coder> BandCoder<'_, C> {
         for (c, range) in [[0.0, MAX_BRIGHTNESS], [-1.0, 1.0], [-1.0, 1.0]].into_iter().enumerate() {
             fixed_of(&values[c + 1], range, &mut ycc[c]);
         }
-        self.lists.push(&planes, mask, &codes, &ycc, &alphas);
+        self.scratch.lists.push(&planes, mask, &codes, &ycc, &alphas);
         coded
     }
 
     /// Fetches what the reference has between two planes. Returns the mask of lists with matter.
     fn fetch(&mut self, (x, y): (usize, usize), planes: &Planes) -> Option<u64> {
         let (reference, motion) = self.reference.as_ref()?;
-        let y = y + self.place.first_row;
+        let [x, y] = self.place.in_frame(x, y);
         let [mx, my] = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
         let shift = motion.at(mx, my, 0.5 * (planes.0.z + planes.1.z))?;
-        fetch(&mut self.fetched, reference, (x, y), planes, shift, self.steps.depth);
-        Some(self.fetched.mask)
+        fetch(&mut self.scratch.fetched, reference, (x, y), planes, shift, self.steps.depth);
+        Some(self.scratch.fetched.mask)
     }
 
     /// Index of the layer that shares most depth with a pair of planes.
     fn overlapping(&self, layers: Range<usize>, planes: &Planes) -> Option<usize> {
         let common = |l: usize| {
-            let (front, back) = self.band.planes[l];
+            let (front, back) = self.tile.planes[l];
             back.z.min(planes.1.z) - front.z.max(planes.0.z)
         };
         let best =
             layers.map(|l| (common(l), l)).filter(|(c, _)| *c > 0.0).max_by(|a, b| a.0.total_cmp(&b.0));
         best.map(|(_, l)| l)
-    }
-
-    /// Whether the moved reference is closer to the source than a constant.
-    fn is_inter_better(&self, sources: &[BlockPlane; 4], means: &[f32; 4], mask: u64) -> bool {
-        let lists = || lists_of(mask);
-        let (mut intra, mut inter) = (0.0, 0.0);
-        for c in 0..2 {
-            let mean = lists().map(|i| sources[c][i]).sum::<f32>() / mask.count_ones() as f32;
-            intra += 8.0 * (mean - means[c]).abs();
-            for i in lists() {
-                intra += (sources[c][i] - mean).abs();
-                inter += (sources[c][i] - self.fetched.planes[c][i]).abs();
-            }
-        }
-        inter < intra
     }
 }
 

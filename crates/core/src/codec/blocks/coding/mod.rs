@@ -1,17 +1,17 @@
-//! Codes the layers of a band in bits. One text serves both directions. It also computes what a decoder will have, so
+//! Codes the layers of a tile in bits. One text serves both directions. It also computes what a decoder will have, so
 //! that the encoder works with it.
 
 mod depth;
 mod layer;
 
-use super::super::error::{CodecError, at_most};
-use super::band::{Band, OpenBlock, Planes};
+use super::super::error::CodecError;
 use super::entropy::Coder;
-use super::model::{BLOCK, BandPlace, BlockLayer, DepthPlane};
+use super::model::{BLOCK, BlockLayer, DepthPlane, TilePlace};
 use super::motion::{ReferenceMotion, Shift};
 use super::reference::{Fetched, HALF, Reference};
 use super::steps::StepSizes;
 use super::syntax::Contexts;
+use super::tile::{FrameTile, OpenBlock, Planes};
 use depth::{bounded, continued};
 use layer::{BlockContext, CodedLayer};
 
@@ -45,7 +45,7 @@ pub(super) struct Plan {
 
 /// Provides the plans of blocks.
 pub(super) trait BlockSource {
-    /// Plans the block at (`x`, `y`) of the band. `offered` writes the planes of an origin and returns whether there
+    /// Plans the block at (`x`, `y`) of the tile. `offered` writes the planes of an origin and returns whether there
     /// are any.
     fn plan(
         &mut self,
@@ -63,74 +63,80 @@ impl BlockSource for NoSource {
     fn plan(&mut self, _: usize, _: usize, _: &dyn Fn(Origin, &mut Vec<Planes>) -> bool, _: &mut Plan) {}
 }
 
-/// Codes one band.
-pub(super) struct BandCoder<'a, C> {
+/// Codes a tile.
+pub(super) struct TileCoder<'a, C> {
     pub(super) coder: C,
-    contexts: Box<Contexts>,
+    contexts: &'static Contexts,
     steps: StepSizes,
-    place: BandPlace,
+    place: TilePlace,
     reference: Option<(&'a Reference, ReferenceMotion)>,
-    band: Band,
-    /// One for each pair of planes of the band.
+    tile: FrameTile,
+    /// One for each pair of planes of the tile.
     layers: Vec<CodedLayer>,
     /// The origin of each block's planes.
     origins: Vec<Origin>,
+    scratch: &'a mut TileScratch,
+}
+
+/// Memory of a thread that codes blocks. What it holds means nothing to the next block.
+pub(super) struct TileScratch {
     lists: OpenBlock,
     fetched: Fetched,
     offered: Vec<Planes>,
 }
 
-impl<'a, C: Coder> BandCoder<'a, C> {
+impl Default for TileScratch {
+    fn default() -> Self {
+        Self { lists: OpenBlock::default(), fetched: Fetched::new(), offered: Vec::new() }
+    }
+}
+
+impl<'a, C: Coder> TileCoder<'a, C> {
     pub(super) fn new(
         coder: C,
         steps: StepSizes,
-        place: BandPlace,
+        place: TilePlace,
         reference: Option<(&'a Reference, ReferenceMotion)>,
         num_cells: usize,
+        scratch: &'a mut TileScratch,
     ) -> Self {
         Self {
             coder,
-            contexts: Contexts::new(),
+            contexts: Contexts::all(),
             steps,
             place,
             reference,
-            band: Band::new(place, num_cells),
+            tile: FrameTile::new(place, num_cells),
             layers: Vec::new(),
             origins: Vec::new(),
-            lists: OpenBlock::default(),
-            fetched: Fetched::new(),
-            offered: Vec::new(),
+            scratch,
         }
     }
 
-    /// Codes all blocks; `limit` is the greatest allowed number of cells.
+    /// Codes all blocks.
     pub(super) fn run(
         mut self,
         source: &mut impl BlockSource,
-        limit: usize,
-    ) -> Result<(C, Band, Vec<Origin>), CodecError> {
+    ) -> Result<(C, FrameTile, Vec<Origin>), CodecError> {
         let mut plan = Plan::default();
         for y in 0..self.place.num_rows {
             for x in 0..self.place.across {
                 self.block(x, y, source, &mut plan);
-                at_most("segments in a chunk", self.band.num_cells(), limit)?;
-                at_most("rows of segments in a chunk", self.band.num_rows(), limit / 4)?;
-                at_most("layers in a chunk", self.band.planes.len(), limit / 8)?;
                 if self.coder.is_overrun() {
                     return Err(CodecError::Payload { plane: "blocks", problem: "ends too early".into() });
                 }
             }
         }
-        Ok((self.coder, self.band, self.origins))
+        Ok((self.coder, self.tile, self.origins))
     }
 
     /// Index of the block to the left, if there is one.
     fn left(&self, x: usize) -> Option<usize> {
-        (x > 0).then(|| self.band.blocks.len() - 1)
+        (x > 0).then(|| self.tile.blocks.len() - 1)
     }
 
     fn above(&self, y: usize) -> Option<usize> {
-        (y > 0).then(|| self.band.blocks.len() - self.place.across)
+        (y > 0).then(|| self.tile.blocks.len() - self.place.across)
     }
 
     /// Writes the planes that an origin has for the block at (`x`, `y`). Returns whether there are any.
@@ -138,7 +144,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         out.clear();
         let mut offer = |block: Option<usize>, step| {
             let Some(block) = block else { return };
-            let planes = self.band.planes[self.band.layers(block)].iter();
+            let planes = self.tile.planes[self.tile.layers(block)].iter();
             out.extend(planes.map(|(f, b)| (continued(f, step), continued(b, step))));
         };
         match origin {
@@ -153,9 +159,9 @@ impl<'a, C: Coder> BandCoder<'a, C> {
     /// Adds the planes of the reference's block that the middle of this block moves to.
     fn kept(&self, x: usize, y: usize, out: &mut Vec<Planes>) {
         let Some((reference, motion)) = &self.reference else { return };
-        let y = y + self.place.first_row;
+        let [x, y] = self.place.in_frame(x, y);
         let Some(to) = reference.moved_to(motion, x, y) else { return };
-        let Some((band, block)) = reference.block(to[0], to[1]) else { return };
+        let Some((tile, block)) = reference.block(to[0], to[1]) else { return };
         let middle = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
         let theirs = to.map(|v| v as f32 * BLOCK as f32 + HALF);
         let moved = |p: &DepthPlane| {
@@ -164,7 +170,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             let dy = middle[1] + shift.y - theirs[1];
             bounded(p.z + p.dx * dx + p.dy * dy - shift.z, p.dx, p.dy)
         };
-        out.extend(band.planes[band.layers(block)].iter().map(|(f, b)| (moved(f), moved(b))));
+        out.extend(tile.planes[tile.layers(block)].iter().map(|(f, b)| (moved(f), moved(b))));
     }
 
     fn block(&mut self, x: usize, y: usize, source: &mut impl BlockSource, plan: &mut Plan) {
@@ -175,55 +181,56 @@ impl<'a, C: Coder> BandCoder<'a, C> {
             return;
         }
         let (left, above) = (self.left(x), self.above(y));
-        let layers_of = |block: Option<usize>| block.map_or(0, |b| self.band.layers(b).len());
+        let layers_of = |block: Option<usize>| block.map_or(0, |b| self.tile.layers(b).len());
         let (num_left, num_above) = (layers_of(left), layers_of(above));
         let state = |block: Option<usize>, count: usize| block.map_or(0, |_| 1 + usize::from(count > 0));
         let around = state(left, num_left) * 3 + state(above, num_above);
-        let before =
-            self.reference.as_ref().and_then(|(r, _)| r.block(x as i32, (y + self.place.first_row) as i32));
-        let before = before.map_or(0, |(band, block)| 1 + usize::from(!band.layers(block).is_empty()));
+        let [column, row] = self.place.in_frame(x, y).map(|at| at as i32);
+        let before = self.reference.as_ref().and_then(|(r, _)| r.block(column, row));
+        let before = before.map_or(0, |(tile, block)| 1 + usize::from(!tile.layers(block).is_empty()));
 
-        let first_plane = self.band.planes.len();
-        self.lists.clear();
+        let first_plane = self.tile.planes.len();
+        self.scratch.lists.clear();
         let has_planes = !plan.layers.is_empty();
         let mut origin = Origin::Fresh;
-        if self.coder.bit(&mut self.contexts.has_planes[around][before], has_planes) {
-            let mut planes = std::mem::take(&mut self.offered);
+        if self.coder.bit(self.contexts.has_planes[around][before], has_planes) {
+            let mut planes = std::mem::take(&mut self.scratch.offered);
             origin = self.origin(x, y, plan.origin, &mut planes);
             if origin == Origin::Fresh {
-                let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.band.layers(b)));
+                let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.tile.layers(b)));
                 self.fresh(&plan.codes, neighbors);
             } else {
-                self.band.planes.extend_from_slice(&planes);
+                self.tile.planes.extend_from_slice(&planes);
             }
-            self.offered = planes;
-            let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.band.layers(b)));
+            self.scratch.offered = planes;
+            let neighbors = [left, above].map(|b| b.map_or(0..0, |b| self.tile.layers(b)));
             let around = BlockContext { x, y, origin, first_layer: first_plane, neighbors };
             let mut mask_before = None;
-            for layer in first_plane..self.band.planes.len() {
+            for layer in first_plane..self.tile.planes.len() {
                 let wanted = plan.layers.get(layer - first_plane);
                 let coded = self.layer(layer, &around, wanted, &mut mask_before);
                 self.layers.push(coded);
             }
         }
-        self.band.push(first_plane, &mut self.lists);
+        self.tile.push(first_plane, &mut self.scratch.lists);
         self.origins.push(origin);
     }
 
     /// Codes whether the block is a copy, and copies it.
     fn copied(&mut self, x: usize, y: usize, plan: &Plan) -> bool {
         let Some((reference, motion)) = self.reference else { return false };
-        let block = reference.block(x as i32, (y + self.place.first_row) as i32);
-        let Some((band, block)) = block.filter(|(band, block)| motion.is_still && band.has_matter(*block))
+        let [column, row] = self.place.in_frame(x, y).map(|at| at as i32);
+        let Some((tile, block)) =
+            reference.block(column, row).filter(|(tile, block)| motion.is_still && tile.has_matter(*block))
         else {
             return false;
         };
         let context = self.around(x, y, |o| o == Origin::Copied);
-        if !self.coder.bit(&mut self.contexts.is_copied[context], plan.origin == Origin::Copied) {
+        if !self.coder.bit(self.contexts.is_copied[context], plan.origin == Origin::Copied) {
             return false;
         }
-        self.band.copy(band, block);
-        self.layers.resize(self.band.planes.len(), CodedLayer::without_matter([0.0; 4]));
+        self.tile.copy(tile, block);
+        self.layers.resize(self.tile.planes.len(), CodedLayer::without_matter([0.0; 4]));
         self.origins.push(Origin::Copied);
         true
     }
@@ -240,14 +247,14 @@ impl<'a, C: Coder> BandCoder<'a, C> {
         let is_kept = self.around(x, y, |o| o == Origin::Kept);
         let is_merged = self.around(x, y, |o| matches!(o, Origin::Left | Origin::Above));
         if self.offer(Origin::Kept, x, y, planes)
-            && self.coder.bit(&mut self.contexts.is_kept[is_kept], wanted == Origin::Kept)
+            && self.coder.bit(self.contexts.is_kept[is_kept], wanted == Origin::Kept)
         {
             return Origin::Kept;
         }
-        let has = |block: Option<usize>| block.is_some_and(|b| !self.band.layers(b).is_empty());
+        let has = |block: Option<usize>| block.is_some_and(|b| !self.tile.layers(b).is_empty());
         let (has_left, has_above) = (has(left), has(above));
         let is_wanted = matches!(wanted, Origin::Left | Origin::Above);
-        if !(has_left || has_above) || !self.coder.bit(&mut self.contexts.is_merged[is_merged], is_wanted) {
+        if !(has_left || has_above) || !self.coder.bit(self.contexts.is_merged[is_merged], is_wanted) {
             return Origin::Fresh;
         }
         let is_above = if has_left && has_above {
@@ -256,7 +263,7 @@ impl<'a, C: Coder> BandCoder<'a, C> {
                 Some(Origin::Left) => 1,
                 _ => 0,
             };
-            self.coder.bit(&mut self.contexts.is_above[context], wanted == Origin::Above)
+            self.coder.bit(self.contexts.is_above[context], wanted == Origin::Above)
         } else {
             has_above
         };

@@ -1,5 +1,5 @@
-use super::super::band::OpenBlock;
-use super::super::model::BandPlace;
+use super::super::model::TilePlace;
+use super::super::tile::OpenBlock;
 use super::*;
 use crate::camera::{Camera, Intrinsics, Pose};
 use crate::layer::FrameHeader;
@@ -9,10 +9,10 @@ use crate::space::Aabb;
 /// A frame of 3×3 blocks with layers whose lists differ in what they have, one block without any.
 fn reference() -> Reference {
     let size = [3 * BLOCK; 2];
-    let mut band = Band::new(BandPlace { across: 3, first_row: 0, num_rows: 3, size }, 0);
+    let mut tile = FrameTile::new(TilePlace { first: [0; 2], across: 3, num_rows: 3, size }, 0);
     let mut lists = OpenBlock::default();
     for block in 0..9usize {
-        let first_plane = band.planes.len();
+        let first_plane = tile.planes.len();
         lists.clear();
         for n in 0..if block == 6 { 0 } else { 2 + block % 4 } {
             let plane =
@@ -22,26 +22,26 @@ fn reference() -> Reference {
             let ycc = [5000, 400, -700].map(|v| std::array::from_fn(|i| v + (29 * i + 7 * block) as i16));
             let mask = [u64::MAX, 0x0fff_ffff_f0ff_ff7e, 0xff00_0000_0000_0081][(n + block) % 3];
             let alphas = u.map(|code: u16| scales().alpha[usize::from(code)]);
-            band.planes.push(planes);
+            tile.planes.push(planes);
             lists.push(&planes, mask, &u, &ycc, &alphas);
         }
-        band.push(first_plane, &mut lists);
+        tile.push(first_plane, &mut lists);
     }
     let bounds = Aabb { min: glam::Vec3::NEG_ONE, max: glam::Vec3::ONE };
     let pose = Pose::orbit(glam::Vec3::ZERO, 0.3, 0.2, 5.0);
     let camera = Camera::new(pose, Intrinsics::perspective(24, 24, 0.7), &bounds);
-    Reference::new(FrameHeader::alone(camera, 8), None, vec![Arc::new(band)])
+    Reference::new(FrameHeader::alone(camera, 8), None, vec![Arc::new(tile)], Counts::default())
 }
 
 /// Opacity, u, and Y, Co, Cg times opacity of a list of the reference between two depths, cell by cell.
 fn content(reference: &Reference, [x, y]: [i32; 2], low: f32, high: f32) -> [f32; 5] {
     let (s, side) = (scales(), BLOCK as i32);
-    let Some((band, block)) = reference.block(x.div_euclid(side), y.div_euclid(side)) else {
+    let Some((tile, block)) = reference.block(x.div_euclid(side), y.div_euclid(side)) else {
         return [0.0; 5];
     };
     let list = (y.rem_euclid(side) * side + x.rem_euclid(side)) as usize;
     let (mut spread, mut values, mut tau_sum, mut kappa, mut count) = (NO_CELLS, [0.0; 5], 0.0, 1.0, 0);
-    let mut walk = band.cells_of(block).walk(&mut spread);
+    let mut walk = tile.cells_of(block).walk(&mut spread);
     while let Some((layer, cells)) = walk.next() {
         let [front, back, code, ycc @ ..] = cells.map(|plane| plane[list]);
         let (front, back) = (f32::from(front), f32::from(back));

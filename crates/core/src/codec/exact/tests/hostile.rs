@@ -39,7 +39,7 @@ fn bad_headers_are_named() {
         decode_one(&bytes).unwrap_err()
     };
     assert!(matches!(with(0, b'X'), CodecError::Magic(_)));
-    assert_eq!(with(4, 2), CodecError::Version { found: 2, expected: 3 });
+    assert_eq!(with(4, 2), CodecError::Version { found: 2, expected: 4 });
     for (at, byte, name) in [
         (5, 0, "k"),
         (5, 33, "k"),
@@ -57,7 +57,7 @@ fn bad_headers_are_named() {
     assert_eq!(decode_one(&good[..found]), Err(CodecError::Length { found, expected: good.len() }));
     assert!(matches!(peek(&good[..10]), Err(CodecError::Length { found: 10, expected: HEADER_BYTES })));
     assert!(matches!(decode::<Vec<u8>>(&[]), Err(CodecError::Incomplete { found: 0, .. })));
-    assert_eq!(with(4, 1).to_string(), "chunk format version 1, expected 3");
+    assert_eq!(with(4, 1).to_string(), "chunk format version 1, expected 4");
 }
 
 #[test]

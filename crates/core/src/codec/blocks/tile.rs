@@ -1,14 +1,14 @@
-//! The decoded blocks of a band. The client shows them, and later frames are predicted from them.
+//! The decoded blocks of a tile. The client shows them, and later frames are predicted from them.
 
-use super::model::{BLOCK, BLOCK_LISTS, BandPlace, DepthPlane, MAX_LAYERS, lists_of};
+use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS, TilePlace, lists_of};
 use super::scales::whole;
 
 /// Front and back of a layer.
 pub(super) type Planes = (DepthPlane, DepthPlane);
 
-/// Rows of blocks.
+/// Blocks side by side. One that is empty is a tile of which nothing was sent.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(in crate::codec) struct Band {
+pub(in crate::codec) struct FrameTile {
     /// Number of blocks in a row.
     pub(super) across: usize,
     /// All blocks, row by row.
@@ -42,7 +42,7 @@ pub(super) struct CellLayer {
     /// The least front and the greatest back of its cells.
     pub(super) front: u16,
     pub(super) back: u16,
-    /// Index in the band's `cells`, in rows.
+    /// Index in the tile's `cells`, in rows.
     first_row: u32,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct CellLayer {
 /// u from 1 on, and Y, Co, Cg, signed, in units of 1/8192. A list without a cell has zeros.
 pub(super) type CellPlanes = [[u16; BLOCK_LISTS]; NUM_PLANES];
 
-impl Band {
+impl FrameTile {
     /// Size in bytes by the count that sender and receiver share.
     pub(super) fn num_bytes(&self) -> usize {
         BYTES_OF_BLOCK * self.blocks.len()
@@ -59,8 +59,8 @@ impl Band {
             + BYTES_OF_CELL * self.num_cells
     }
 
-    /// A band without blocks, with memory for those of `place` and for about `num_cells` cells.
-    pub(super) fn new(place: BandPlace, num_cells: usize) -> Self {
+    /// A tile without blocks, with memory for those of `place` and for about `num_cells` cells.
+    pub(super) fn new(place: TilePlace, num_cells: usize) -> Self {
         let num_blocks = place.across * place.num_rows;
         Self {
             across: place.across,
@@ -120,8 +120,8 @@ impl Band {
         }
     }
 
-    /// Appends a copy of a block of another band.
-    pub(super) fn copy(&mut self, other: &Band, block: usize) {
+    /// Appends a copy of a block of another tile.
+    pub(super) fn copy(&mut self, other: &FrameTile, block: usize) {
         let (first_plane, first_layer) = (self.planes.len(), self.layers.len());
         self.planes.extend_from_slice(&other.planes[other.layers(block)]);
         for layer in &other.layers[other.filled(block)] {
@@ -193,7 +193,7 @@ impl CellLayer {
         (quarters | quarters >> 1) & FIRST_OF_ROWS
     }
 
-    /// The range of its words in the band's `cells`.
+    /// The range of its words in the tile's `cells`.
     #[inline(always)]
     fn words(&self) -> std::ops::Range<usize> {
         let first = self.first_row as usize;
@@ -233,7 +233,7 @@ impl CellLayer {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellsOf<'a> {
     pub(super) layers: &'a [CellLayer],
-    /// Words of the whole band.
+    /// Words of the whole tile.
     cells: &'a [u16],
 }
 
@@ -388,7 +388,7 @@ const FIRST_OF_ROWS: u64 = u64::from_ne_bytes([1; 8]);
 const NUM_PLANES: usize = 6;
 pub(super) const NO_CELLS: CellPlanes = [[0; BLOCK_LISTS]; NUM_PLANES];
 const WORDS_OF_ROW: usize = NUM_PLANES * BLOCK;
-/// Sizes by which sender and receiver count the parts of a band, bytes.
+/// Sizes by which sender and receiver count the parts of a tile, bytes.
 const BYTES_OF_BLOCK: usize = 16;
 const BYTES_OF_LAYER: usize = 24;
 const BYTES_OF_MATTER: usize = 128;
@@ -399,8 +399,8 @@ const MAX_FRONT: f32 = 65500.0;
 const MAX_BACK: f32 = 65535.0;
 
 #[cfg(test)]
-impl Band {
-    /// An empty band that is counted as so many bytes, or a few less.
+impl FrameTile {
+    /// An empty tile that is counted as so many bytes, or a few less.
     pub(super) fn counted_as(num_bytes: usize) -> Self {
         Self { across: 1, num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
     }
@@ -410,29 +410,29 @@ impl Band {
 mod tests {
     use super::*;
 
-    const PLACE: BandPlace = BandPlace { across: 2, first_row: 0, num_rows: 2, size: [16, 16] };
+    const PLACE: TilePlace = TilePlace { first: [0; 2], across: 2, num_rows: 2, size: [16, 16] };
     const PLANES: Planes =
         (DepthPlane { z: 3000.0, dx: 5.0, dy: -4.0 }, DepthPlane { z: 5000.0, dx: 5.0, dy: 7.0 });
     /// All lists, none, one, a row, two in rows that do not touch.
     const MASKS: [u64; 5] = [u64::MAX, 0, 1 << 29, 0xff00, 1 << 63 | 2];
 
-    /// A band of a block for each mask and one with all of them, and what these blocks have: the masks that are not empty.
-    fn band() -> (Band, Vec<Vec<u64>>) {
-        let (mut band, mut lists) = (Band::new(PLACE, 100), OpenBlock::default());
+    /// A tile of a block for each mask and one with all of them, and what these blocks have: the masks that are not empty.
+    fn tile() -> (FrameTile, Vec<Vec<u64>>) {
+        let (mut tile, mut lists) = (FrameTile::new(PLACE, 100), OpenBlock::default());
         let alone = MASKS.iter().map(|mask| vec![*mask]);
         let blocks: Vec<Vec<u64>> = alone.chain([MASKS.to_vec()]).collect();
         for masks in &blocks {
-            let first_plane = band.planes.len();
+            let first_plane = tile.planes.len();
             lists.clear();
             for (n, &mask) in masks.iter().enumerate() {
-                band.planes.push(moved(n));
+                tile.planes.push(moved(n));
                 let value = |i: usize| 1 + (100 * n + i) as u16;
                 let ycc = [0, 1, 2].map(|c| std::array::from_fn(|i| -(value(i) as i16) * (c + 1)));
                 lists.push(&moved(n), mask, &std::array::from_fn(value), &ycc, &[0.5; BLOCK_LISTS]);
             }
-            band.push(first_plane, &mut lists);
+            tile.push(first_plane, &mut lists);
         }
-        (band, blocks)
+        (tile, blocks)
     }
 
     fn moved(n: usize) -> Planes {
@@ -440,9 +440,9 @@ mod tests {
         (deeper(PLANES.0), deeper(PLANES.1))
     }
 
-    fn found(band: &Band, block: usize) -> Vec<(u64, CellPlanes)> {
+    fn found(tile: &FrameTile, block: usize) -> Vec<(u64, CellPlanes)> {
         let (mut spread, mut found) = (NO_CELLS, vec![]);
-        let mut walk = band.cells_of(block).walk(&mut spread);
+        let mut walk = tile.cells_of(block).walk(&mut spread);
         while let Some((layer, cells)) = walk.next() {
             assert_eq!(
                 cells[0].iter().zip(cells[1]).filter(|(_, back)| *back > 0).map(|(f, _)| *f).min(),
@@ -456,14 +456,14 @@ mod tests {
 
     #[test]
     fn cells_are_where_they_were_put_and_nowhere_else() {
-        let (band, blocks) = band();
+        let (tile, blocks) = tile();
         let filled = |masks: &[u64]| {
             masks.iter().copied().enumerate().filter(|(_, mask)| *mask != 0).collect::<Vec<_>>()
         };
         for (block, masks) in blocks.iter().enumerate() {
-            let (found, filled) = (found(&band, block), filled(masks));
-            assert_eq!(band.has_matter(block), !filled.is_empty());
-            assert_eq!(band.cells_of(block).mask(), masks.iter().fold(0, |all, mask| all | mask));
+            let (found, filled) = (found(&tile, block), filled(masks));
+            assert_eq!(tile.has_matter(block), !filled.is_empty());
+            assert_eq!(tile.cells_of(block).mask(), masks.iter().fold(0, |all, mask| all | mask));
             assert_eq!(found.len(), filled.len());
             for ((found_mask, cells), (n, mask)) in found.into_iter().zip(filled) {
                 assert_eq!(found_mask, mask);
@@ -482,27 +482,27 @@ mod tests {
             }
         }
         let num: u32 = blocks.iter().flatten().map(|mask| mask.count_ones()).sum();
-        assert_eq!(band.num_cells(), num as usize);
+        assert_eq!(tile.num_cells(), num as usize);
         // A row of eight each for one list and for a row, two for lists far apart.
-        assert_eq!(band.num_rows(), 2 * (8 + 1 + 1 + 2));
-        assert_eq!(band.num_bytes(), 16 * 6 + 24 * 10 + 128 * 5 + 12 * num as usize);
+        assert_eq!(tile.num_rows(), 2 * (8 + 1 + 1 + 2));
+        assert_eq!(tile.num_bytes(), 16 * 6 + 24 * 10 + 128 * 5 + 12 * num as usize);
     }
 
     #[test]
     fn blocks_are_copied_to_other_places_and_changed_alone() {
-        let (band, blocks) = band();
-        let mut other = Band::new(PLACE, 0);
+        let (tile, blocks) = tile();
+        let mut other = FrameTile::new(PLACE, 0);
         for block in [5, 2, 1, 5, 0] {
-            other.copy(&band, block);
+            other.copy(&tile, block);
         }
         for (copied, block) in [5, 2, 1, 5, 0].into_iter().enumerate() {
-            assert_eq!(found(&other, copied), found(&band, block));
-            assert_eq!(other.planes[other.layers(copied)], band.planes[band.layers(block)]);
+            assert_eq!(found(&other, copied), found(&tile, block));
+            assert_eq!(other.planes[other.layers(copied)], tile.planes[tile.layers(block)]);
         }
         let before = other.clone();
         other.change(3, |[.., y, _, _]| y.iter_mut().for_each(|y| *y = y.wrapping_mul(2)));
         for copied in 0..5 {
-            let [now, before] = [&other, &before].map(|band| found(band, copied));
+            let [now, before] = [&other, &before].map(|tile| found(tile, copied));
             assert_eq!(now == before, copied != 3);
             for ((_, now), (_, before)) in now.iter().zip(&before) {
                 let times = if copied == 3 { 2 } else { 1 };
