@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Files and folders below the workspace that define bytes.
-const SOURCES: [&str; 31] = [
+const SOURCES: [&str; 32] = [
     "crates/core/src/wire",
     "crates/core/src/codec/bands.rs",
     "crates/core/src/codec/chunk.rs",
@@ -31,6 +31,7 @@ const SOURCES: [&str; 31] = [
     "crates/core/src/codec/blocks/motion.rs",
     "crates/core/src/codec/blocks/tile.rs",
     "crates/core/src/codec/blocks/reference.rs",
+    "crates/core/src/codec/blocks/fetch.rs",
     "crates/core/src/codec/blocks/to_frame.rs",
     "crates/core/src/codec/blocks/head.rs",
     "crates/core/src/codec/blocks/residual.rs",

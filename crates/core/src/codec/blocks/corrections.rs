@@ -6,15 +6,13 @@ use rayon::prelude::*;
 use super::super::error::CodecError;
 use super::entropy::Coder;
 use super::model::{BLOCK_LISTS, TilePlace};
-use super::residual::{Expected, fixed_of, residual};
-use super::scales::{
-    MAX_ROOT, f32_from_fixed, fixed_from_f32, roots, roots_from_ycc, scales, ycc_from_roots,
-};
+use super::residual::{Expected, residual, stored_of};
+use super::scales::{FINE, MAX_ROOT, UNIT, behind, root_of, roots, roots_from_ycc, scales, seen};
 use super::smooth::{Border, smooth_roots};
 use super::steps::StepSizes;
 use super::syntax::{Contexts, NO_CLASS};
 use super::tile::{CellPlanes, CellsOf, FrameTile, NO_CELLS};
-use super::transform::BlockPlane;
+use super::transform::{BlockNumbers, BlockPlane};
 
 /// Differences of the roots of a picture's red, green and blue.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,7 +52,7 @@ pub(super) fn code<C: Coder>(
                     (Some(a), None) | (None, Some(a)) => a,
                     (None, None) => NO_CLASS,
                 };
-                let mut values = [0.0; BLOCK_LISTS];
+                let mut values = [0; BLOCK_LISTS];
                 let (class, _) = residual(
                     &mut coder,
                     contexts,
@@ -63,12 +61,12 @@ pub(super) fn code<C: Coder>(
                     steps.of_picture()[c],
                     mask,
                     Some(&wanted[c]),
-                    &Expected::Constant(0.0),
+                    &Expected::Constant(0),
                     &mut values,
                 );
                 own[c] = class;
                 class_before = class;
-                fixed_of(&values, [-1.0, 1.0], &mut planes[c]);
+                stored_of(&values, [-(FINE as i32), FINE as i32], &mut planes[c]);
             }
             out.places.push(out.planes.len() as u32);
             out.planes.push(planes);
@@ -84,56 +82,78 @@ pub(super) fn code<C: Coder>(
 }
 
 wide! {
-    /// Writes the roots of red, green and blue that the lists of a block composite to, into `found`.
-    pub(super) fn composite_roots(of: CellsOf<'_>, found: &mut [BlockPlane; 3]) = composite_roots_any;
+    /// Writes the roots of red, green and blue that the lists of a block composite to, into `found`. Units of 1/32768.
+    pub(super) fn composite_roots(of: CellsOf<'_>, found: &mut [BlockNumbers; 3]) = composite_roots_any;
+}
+
+wide! {
+    /// The factors that make roots what they should be.
+    fn factors_of(wanted: &[BlockNumbers; 3], found: &[BlockNumbers; 3], factors: &mut [BlockNumbers; 3])
+        = factors_any;
 }
 
 wide! {
     /// Multiplies the roots of the colours of a layer's cells, list by list.
-    fn multiply(cells: &mut CellPlanes, factors: &[BlockPlane; 3]) = multiply_any;
+    fn multiply(cells: &mut CellPlanes, factors: &[BlockNumbers; 3]) = multiply_any;
 }
 
 #[inline(always)]
-fn composite_roots_any(of: CellsOf<'_>, found: &mut [BlockPlane; 3]) {
+fn composite_roots_any(of: CellsOf<'_>, found: &mut [BlockNumbers; 3]) {
     let scales = scales();
-    let mut kappa = [1.0; BLOCK_LISTS];
-    *found = [[0.0; BLOCK_LISTS]; 3];
+    let mut kappa = [UNIT - 1; BLOCK_LISTS];
+    *found = [[0; BLOCK_LISTS]; 3];
     let [r, g, b] = &mut *found;
     let mut spread = NO_CELLS;
     let mut walk = of.walk(&mut spread);
+    // Colours are sums in units of 2⁻³⁰.
+    let visible = |seen: i32, root: i32| {
+        let square = root * root;
+        seen * (square >> 12) + ((seen * (square & 0xfff)) >> 12)
+    };
     while let Some((_, [_, _, u, y, co, cg])) = walk.next() {
         // A list without a cell has α = 0.
-        let mut alpha = [0.0; BLOCK_LISTS];
+        let mut alpha = [0; BLOCK_LISTS];
         for (alpha, code) in alpha.iter_mut().zip(u) {
-            *alpha = scales.alpha[usize::from(*code)];
+            *alpha = scales.opacity(*code);
         }
         for i in 0..BLOCK_LISTS {
             let roots = roots([y[i] as i16, co[i] as i16, cg[i] as i16]);
-            let seen = kappa[i] * alpha[i];
-            r[i] += seen * roots[0] * roots[0];
-            g[i] += seen * roots[1] * roots[1];
-            b[i] += seen * roots[2] * roots[2];
-            kappa[i] *= 1.0 - alpha[i];
+            let seen = seen(kappa[i], alpha[i]);
+            r[i] += visible(seen, roots[0]);
+            g[i] += visible(seen, roots[1]);
+            b[i] += visible(seen, roots[2]);
+            kappa[i] = behind(kappa[i], alpha[i]);
         }
     }
     for found in found.as_flattened_mut() {
-        *found = found.max(LEAST).sqrt();
+        *found = root_of(*found).max(LEAST);
+    }
+}
+
+#[inline(always)]
+fn factors_any(wanted: &[BlockNumbers; 3], found: &[BlockNumbers; 3], factors: &mut [BlockNumbers; 3]) {
+    let pairs = wanted.as_flattened().iter().zip(found.as_flattened());
+    for (factor, (wanted, found)) in factors.as_flattened_mut().iter_mut().zip(pairs) {
+        // Exact: a quotient of whole numbers below 2³² is farther from the next one than doubles round.
+        let by = f64::from((*wanted).max(0)) * f64::from(ONE) / f64::from(*found);
+        *factor = (by as i32).clamp(ONE / MAX_FACTOR, ONE * MAX_FACTOR);
     }
 }
 
 /// The factor is the same in all cells of a list. Lists without a cell keep their zeros.
 #[inline(always)]
-fn multiply_any([_, _, _, y, co, cg]: &mut CellPlanes, [of_r, of_g, of_b]: &[BlockPlane; 3]) {
+fn multiply_any([_, _, _, y, co, cg]: &mut CellPlanes, [of_r, of_g, of_b]: &[BlockNumbers; 3]) {
+    // A quarter of 1/8192.
+    let changed = |root: i32, by: i32| ((root * by) >> (FACTOR_BITS - 2)).min(4 * MAX_ROOT);
     for i in 0..BLOCK_LISTS {
         let own = [y[i] as i16, co[i] as i16, cg[i] as i16];
         let [r, g, b] = roots(own);
-        let changed = [(r * of_r[i]).min(MAX_ROOT), (g * of_g[i]).min(MAX_ROOT), (b * of_b[i]).min(MAX_ROOT)];
-        let changed = ycc_from_roots(changed).map(fixed_from_f32);
+        let (r, g, b) = (changed(r, of_r[i]), changed(g, of_g[i]), changed(b, of_b[i]));
         // A list with factors of 1 stays the same to the bit.
-        let is_right = (of_r[i] == 1.0) & (of_g[i] == 1.0) & (of_b[i] == 1.0);
-        y[i] = if is_right { own[0] } else { changed[0] } as u16;
-        co[i] = if is_right { own[1] } else { changed[1] } as u16;
-        cg[i] = if is_right { own[2] } else { changed[2] } as u16;
+        let is_right = (of_r[i] == ONE) & (of_g[i] == ONE) & (of_b[i] == ONE);
+        y[i] = if is_right { own[0] } else { ((r + 2 * g + b + 8) >> 4) as i16 } as u16;
+        co[i] = if is_right { own[1] } else { ((r - b + 4) >> 3) as i16 } as u16;
+        cg[i] = if is_right { own[2] } else { ((2 * g - r - b + 8) >> 4) as i16 } as u16;
     }
 }
 
@@ -151,9 +171,9 @@ pub(in crate::codec) struct TilePicture {
 struct CorrectedBlock {
     /// Mask of the lists with matter.
     mask: u64,
-    /// What the lists composite to, and what they should.
-    found: [BlockPlane; 3],
-    wanted: [BlockPlane; 3],
+    /// What the lists composite to, and what they should, in units of 1/32768.
+    found: [BlockNumbers; 3],
+    wanted: [BlockNumbers; 3],
 }
 
 impl TilePicture {
@@ -175,7 +195,7 @@ impl TilePicture {
     }
 
     /// Smooths the borders of a kind between the tile's own blocks.
-    fn smooth_inside(&mut self, border: Border, steps: &[f32; 3]) {
+    fn smooth_inside(&mut self, border: Border, steps: &[i32; 3]) {
         let back = if border == Border::Beside { 1 } else { self.across };
         for block in back..self.places.len() {
             if border == Border::Beside && block % self.across == 0 {
@@ -191,7 +211,7 @@ impl TilePicture {
     }
 
     /// Smooths the borders to the next tile on the right or below.
-    fn smooth_to(&mut self, border: Border, next: &mut Self, steps: &[f32; 3]) {
+    fn smooth_to(&mut self, border: Border, next: &mut Self, steps: &[i32; 3]) {
         if self.blocks.is_empty() || next.blocks.is_empty() {
             return;
         }
@@ -216,10 +236,8 @@ impl TilePicture {
         for block in 0..self.places.len() {
             let Some(place) = self.place(block) else { continue };
             let CorrectedBlock { found, wanted, .. } = &self.blocks[place];
-            let mut factors = *wanted;
-            for (factor, found) in factors.as_flattened_mut().iter_mut().zip(found.as_flattened()) {
-                *factor = (*factor / *found).clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
-            }
+            let mut factors = [[0; BLOCK_LISTS]; 3];
+            factors_of(wanted, found, &mut factors);
             tile.change(block, |cells| multiply(cells, &factors));
         }
     }
@@ -228,7 +246,7 @@ impl TilePicture {
 /// Multiplies the colours of a frame's cells so that every list composites to what it should. There is a picture for
 /// each tile, row by row, `across` to a row. `steps` are those of the corrections' Y, Co and Cg, by which borders between
 /// corrected blocks are smoothed: first those between blocks side by side.
-pub(super) fn correct(tiles: &mut [FrameTile], pictures: &mut [TilePicture], across: usize, steps: [f32; 3]) {
+pub(super) fn correct(tiles: &mut [FrameTile], pictures: &mut [TilePicture], across: usize, steps: [i32; 3]) {
     pictures.par_chunks_mut(across.max(1)).for_each(|row| {
         row.iter_mut().for_each(|picture| picture.smooth_inside(Border::Beside, &steps));
         for x in 1..row.len() {
@@ -251,30 +269,33 @@ pub(super) fn correct(tiles: &mut [FrameTile], pictures: &mut [TilePicture], acr
 impl CorrectedBlock {
     /// What the cells of a block composite to, and what they should: that plus the differences.
     fn new(cells: CellsOf<'_>, differences: &[[i16; BLOCK_LISTS]; 3]) -> Self {
-        let mut found = [[0.0; BLOCK_LISTS]; 3];
+        let mut found = [[0; BLOCK_LISTS]; 3];
         composite_roots(cells, &mut found);
         let mut wanted = found;
         for i in 0..BLOCK_LISTS {
             let difference = [differences[0][i], differences[1][i], differences[2][i]];
-            let difference = roots_from_ycc(difference.map(f32_from_fixed));
+            let difference = roots_from_ycc(difference.map(|d| 4 * i32::from(d)));
             wanted.iter_mut().zip(difference).for_each(|(wanted, difference)| wanted[i] += difference);
         }
         Self { mask: cells.mask(), found, wanted }
     }
 }
 
-fn smooth_between(border: Border, first: &mut CorrectedBlock, second: &mut CorrectedBlock, steps: &[f32; 3]) {
+fn smooth_between(border: Border, first: &mut CorrectedBlock, second: &mut CorrectedBlock, steps: &[i32; 3]) {
     let lines = border.lines(first.mask, second.mask);
     if lines != 0 {
         smooth_roots(border, &mut first.wanted, &mut second.wanted, lines, steps);
     }
 }
 
+/// A factor of 1.
+const ONE: i32 = 1 << FACTOR_BITS;
+const FACTOR_BITS: u32 = 14;
 /// A list whose root is off by more than this factor has lost a cell. The others must not make up for it, because
 /// they would look wrong from another pose.
-const MAX_FACTOR: f32 = 2.0;
-/// Least colour of a list before its root is taken.
-const LEAST: f32 = 1e-5;
+const MAX_FACTOR: i32 = 2;
+/// Least root of a list: that of a colour of 10⁻⁵.
+const LEAST: i32 = 104;
 const NONE: u32 = u32::MAX;
 
 #[cfg(test)]
@@ -285,7 +306,7 @@ mod tests {
 
     const ACROSS: usize = 4;
     const ROWS: usize = 5;
-    const STEPS: [f32; 3] = [0.03, 0.08, 0.08];
+    const STEPS: [i32; 3] = [983, 2621, 2621];
 
     /// A frame in tiles of so many blocks, with layers that differ from block to block, and its corrections.
     fn corrected(columns: &[usize], rows: &[usize]) -> (Vec<FrameTile>, Vec<TilePicture>) {
@@ -316,14 +337,14 @@ mod tests {
             lists.clear();
             let mask = if block == 6 { 0xffff_fe7f_ffff_ff0f } else { u64::MAX };
             for layer in 0..if block == 9 { 0 } else { 1 + block % 3 } {
-                let plane = |z: f32| DepthPlane { z: z + 3000.0 * layer as f32, dx: 10.0, dy: -7.0 };
-                let planes = (plane(20000.0), plane(21000.0));
+                let plane = |z| DepthPlane { z: 16 * (z + 3000 * layer as i32), dx: 160, dy: -112 };
+                let planes = (plane(20_000), plane(21_000));
                 let u: [u16; BLOCK_LISTS] =
                     std::array::from_fn(|i| (600 + 40 * layer + i + 9 * block) as u16);
                 let ycc = [4000, 300, -200].map(|v| std::array::from_fn(|i| v + (3 * i + 11 * block) as i16));
-                let alphas = u.map(|code| scales().alpha[usize::from(code)]);
+                let opacities = u.map(|code| scales().opacity(code));
                 tile.planes.push(planes);
-                lists.push(&planes, mask, &u, &ycc, &alphas);
+                lists.push(&planes, mask, &u, &ycc, &opacities);
             }
             tile.push(first_plane, &mut lists);
             if [3, 9, 14].contains(&block) {
@@ -361,7 +382,7 @@ mod tests {
     }
 
     /// The colours of all blocks when the frame is cut into tiles.
-    fn shown(columns: &[usize], rows: &[usize], steps: [f32; 3]) -> Vec<Vec<[u16; 3]>> {
+    fn shown(columns: &[usize], rows: &[usize], steps: [i32; 3]) -> Vec<Vec<[u16; 3]>> {
         let (mut tiles, mut pictures) = corrected(columns, rows);
         correct(&mut tiles, &mut pictures, columns.len(), steps);
         colors(&tiles, columns, rows)
@@ -376,7 +397,7 @@ mod tests {
             assert!(shown(columns, rows, STEPS) == whole, "{columns:?} {rows:?}");
         }
         // Steps of nothing move nothing.
-        let plain = shown(&[ACROSS], &[ROWS], [0.0; 3]);
+        let plain = shown(&[ACROSS], &[ROWS], [0; 3]);
         let moved = |block: usize| whole[block].iter().zip(&plain[block]).filter(|(a, b)| a != b).count();
         assert!((0..ACROSS * ROWS).map(moved).sum::<usize>() > 200);
         // Blocks without corrections stay as they were, also beside those that have some.

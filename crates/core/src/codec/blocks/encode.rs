@@ -9,17 +9,17 @@ use super::super::error::{CodecError, at_most};
 use super::super::header::num_bands;
 use super::super::limits::{MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS};
 use super::bands;
-use super::coding::{BlockSource, Origin, Plan, PlaneCode, TileCoder, TileScratch};
+use super::coding::{BlockSource, Offered, Origin, Plan, PlaneCode, TileCoder, TileScratch};
 use super::corrections::{self, TilePicture, composite_roots};
 use super::entropy::{BitRecorder, CodedBit, Tables, Tally, encoded};
 use super::head::{Head, Room, write_streams};
 use super::layer_search::{BlockLists, LayerSearch};
-use super::model::{BLOCK, BLOCK_LISTS, MAX_LAYERS, TILE, TilePlace, tiles_along};
+use super::model::{BLOCK, BLOCK_LISTS, MAX_LAYERS, PlaneFit, TILE, TilePlace, tiles_along};
 use super::motion::ReferenceMotion;
 use super::reference::{CodedTile, Notes, Reference};
-use super::scales::ycc_from_roots;
+use super::scales::{FINE, ycc_from_roots};
 use super::steps::{self, LayerCost, Settings, StepSizes};
-use super::tile::{CellsOf, Planes};
+use super::tile::CellsOf;
 use super::transform::BlockPlane;
 use crate::cancel::{ALWAYS, Wanted};
 use crate::layer::{FrameHeader, LayeredFrame};
@@ -225,11 +225,13 @@ fn segments(frame: &LayeredFrame, place: &TilePlace) -> usize {
     rows.map(|row| (frame.offsets[row * width + right] - frame.offsets[row * width + left]) as usize).sum()
 }
 
-/// What the lists of a block lack, as roots, to composite to `goal`. Returns the mask of lists with matter.
+/// What the lists of a block lack, as roots in units of 1/[`FINE`], to composite to `goal`. Returns the mask of lists
+/// with matter.
 fn miss(goal: &[BlockPlane; 3], cells: CellsOf<'_>, planes: &mut [BlockPlane; 3]) -> u64 {
-    composite_roots(cells, planes);
+    let mut found = [[0; BLOCK_LISTS]; 3];
+    composite_roots(cells, &mut found);
     for i in 0..BLOCK_LISTS {
-        let ycc = ycc_from_roots(std::array::from_fn(|c| goal[c][i] - planes[c][i]));
+        let ycc = ycc_from_roots(std::array::from_fn(|c| goal[c][i] * FINE - found[c][i] as f32));
         for (plane, value) in planes.iter_mut().zip(ycc) {
             plane[i] = value;
         }
@@ -242,7 +244,7 @@ fn miss(goal: &[BlockPlane; 3], cells: CellsOf<'_>, planes: &mut [BlockPlane; 3]
 struct PlaneCandidate {
     codes: Vec<(PlaneCode, PlaneCode)>,
     /// The planes that a decoder makes of the codes.
-    planes: Vec<Planes>,
+    planes: Vec<(PlaneFit, PlaneFit)>,
     error: f32,
     /// Cost of the layers, in the unit of the error.
     worth: f32,
@@ -269,8 +271,8 @@ struct PlannerScratch {
     lists: BlockLists,
     own: PlaneCandidate,
     searched: PlaneCandidate,
-    planes: Vec<Planes>,
-    best: Vec<Planes>,
+    planes: Vec<(PlaneFit, PlaneFit)>,
+    best: Vec<(PlaneFit, PlaneFit)>,
 }
 
 /// Finds layers for blocks.
@@ -327,18 +329,12 @@ impl<'a> BlockPlanner<'a> {
         let mut planes = [[0.0; BLOCK_LISTS]; 3];
         miss(goal, tile.cells_of(block), &mut planes);
         let mean = planes[0].iter().map(|d| d.abs()).sum::<f32>() / BLOCK_LISTS as f32;
-        mean <= SAME * self.steps.picture
+        mean <= SAME * f32::from(self.steps.picture)
     }
 }
 
 impl BlockSource for BlockPlanner<'_> {
-    fn plan(
-        &mut self,
-        x: usize,
-        y: usize,
-        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
-        plan: &mut Plan,
-    ) {
+    fn plan(&mut self, x: usize, y: usize, offered: &Offered<'_>, plan: &mut Plan) {
         let note = self.planned(x, y, offered, plan);
         self.notes.push(note);
     }
@@ -346,13 +342,7 @@ impl BlockSource for BlockPlanner<'_> {
 
 impl BlockPlanner<'_> {
     /// Plans a block. Returns its note; see [`Notes`].
-    fn planned(
-        &mut self,
-        x: usize,
-        y: usize,
-        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
-        plan: &mut Plan,
-    ) -> f32 {
+    fn planned(&mut self, x: usize, y: usize, offered: &Offered<'_>, plan: &mut Plan) -> f32 {
         plan.origin = Origin::Fresh;
         let at = self.place.in_frame(x, y).map(|at| at as u32);
         if BlockLists::is_nothing(self.frame, at[0], at[1]) {
@@ -377,7 +367,7 @@ impl BlockPlanner<'_> {
         let (mut is_fitted, mut is_found) = (false, false);
         if offered(Origin::Kept, best) {
             let noted = self.reference.and_then(|(reference, motion)| {
-                Some(reference.note(reference.moved_to(&motion, at[0] as usize, at[1] as usize)?))
+                Some(reference.note(reference.moved_to(&motion, at.map(|v| v as usize))?))
             });
             note = noted.unwrap_or(0.0);
             let for_layers = per_layer * best.len() as f32;
@@ -460,22 +450,21 @@ const WORTH_SHARE: f32 = 0.3;
 #[cfg(test)]
 mod tests {
     use super::super::layer_search::tests::{COST, frame, slab};
-    use super::super::model::DepthPlane;
     use super::*;
     use crate::layer::Segment;
 
     /// What is planned for a block with these lists, where the frame before had layers between these depths.
     fn planned(list: impl Fn(usize) -> Vec<Segment>, before: &[[f32; 2]]) -> (Plan, f32) {
         let frame = frame(list);
-        let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+        let steps = StepSizes { depth: 1, opacity: 1375, color: 3277, picture: 1, chroma: 32 };
         let place = TilePlace { first: [0; 2], across: 1, num_rows: 1, size: [8, 8] };
         let mut scratch = PlannerScratch::default();
         let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, &mut scratch);
-        let offered = |origin: Origin, out: &mut Vec<Planes>| {
+        let offered = |origin: Origin, out: &mut Vec<(PlaneFit, PlaneFit)>| {
             out.clear();
             if origin == Origin::Kept {
                 out.extend(before.iter().map(|ends| {
-                    let [front, back] = ends.map(|z| DepthPlane { z, dx: 90.0, dy: -60.0 });
+                    let [front, back] = ends.map(|z| PlaneFit { z, dx: 90.0, dy: -60.0 });
                     (front, back)
                 }));
             }
@@ -514,7 +503,7 @@ mod tests {
         let coded = |has_matter: fn(usize) -> bool, limit: usize| {
             let list = |i| if has_matter(i) { vec![slab(i, 20300.0, 3000.0, 0.8, 1.5)] } else { vec![] };
             let frame = frame(list);
-            let steps = StepSizes { depth: 1.0, opacity: 0.1, color: 0.1, picture: 0.0, chroma: 2.0 };
+            let steps = StepSizes { depth: 1, opacity: 1375, color: 3277, picture: 1, chroma: 32 };
             let place = TilePlace { first: [0; 2], across: 1, num_rows: 1, size: [8, 8] };
             let mut scratch = PlannerScratch::default();
             let mut planner = BlockPlanner::new(&frame, place, COST, steps, None, &mut scratch);

@@ -2,7 +2,7 @@
 //! transform can code.
 //!
 //! The server finds a block's layers (`layer_search`, `encode`). Their depth planes are coded in steps, or taken from
-//! a neighbour, or moved from the reference (`coding`, `motion`, `reference`). Opacity and colour of a layer are 8×8
+//! a neighbour, or moved from the reference (`coding`, `motion`, `reference`, `fetch`). Opacity and colour of a layer are 8×8
 //! planes (`scales`). They are predicted and transformed (`residual`) and coded in bits (`syntax`, `entropy`), whose
 //! probabilities are known from the frames before (`tables`). The last plane of a block corrects the picture at the
 //! frame's own pose (`corrections`). Borders between blocks are smoothed (`smooth`). The encoder works with what a
@@ -10,9 +10,9 @@
 //!
 //! A tile is 8×8 blocks, and has a stream of its own. So tiles are coded in parallel, in both directions.
 //!
-//! One rule makes every machine decode alike. A decoder computes with integers, with tables made of sums, products,
-//! quotients and square roots, and with single and double precision operations in the order written. It calls no
-//! function of a mathematics library.
+//! One rule makes every machine decode alike, also a GPU. A decoder computes with integers of 32 bits. Its tables, and
+//! the numbers of a camera, are made of sums, products, quotients and square roots in double precision, in the order
+//! written. It calls no function of a mathematics library.
 //!
 //! A file or folder uses only those above it:
 //!
@@ -31,6 +31,7 @@
 //! | `residual` | a plane as prediction and coefficients |
 //! | `corrections` | corrections of the picture |
 //! | `reference` | frames that others are predicted from |
+//! | `fetch` | what a reference has between two planes |
 //! | `to_frame` | decoded blocks as lists |
 //! | `head` | the head of a payload, and its streams |
 //! | `coding` | the blocks of a tile, in both directions |
@@ -47,6 +48,7 @@ mod corrections;
 mod decode;
 mod encode;
 mod entropy;
+mod fetch;
 mod head;
 mod layer_search;
 mod model;

@@ -20,18 +20,66 @@ pub(super) fn lists_of(mut mask: u64) -> impl Iterator<Item = usize> {
     })
 }
 
-/// A depth plane over a block, in depth units. The middle of the block is (3.5, 3.5) lists from its first list.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// A depth plane over a block, in sixteenths of a depth unit. The middle of the block is (3.5, 3.5) lists from its first
+/// list.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct DepthPlane {
     /// Depth at the middle of the block.
-    pub z: f32,
+    pub(super) z: i32,
     /// Growth for each list rightwards.
-    pub dx: f32,
+    pub(super) dx: i32,
     /// Growth for each list downwards.
-    pub dy: f32,
+    pub(super) dy: i32,
 }
 
 impl DepthPlane {
+    /// A plane whose numbers are bounded, so that sums of them have room.
+    pub(super) fn bounded(z: i32, dx: i32, dy: i32) -> Self {
+        let slope = |s: i32| s.clamp(-MAX_SLOPE, MAX_SLOPE);
+        Self { z: z.clamp(-MAX_DEPTH, MAX_DEPTH), dx: slope(dx), dy: slope(dy) }
+    }
+
+    /// Depth at a place, in quarters of a list from the middle of the block.
+    #[inline(always)]
+    pub(super) fn at(&self, [x, y]: [i32; 2]) -> i32 {
+        self.z + ((self.dx * x + self.dy * y) >> 2)
+    }
+
+    /// The plane of the block that lies so many blocks to the right and below.
+    pub(super) fn continued(&self, [x, y]: [i32; 2]) -> Self {
+        Self::bounded(self.z + BLOCK as i32 * (x * self.dx + y * self.dy), self.dx, self.dy)
+    }
+
+    /// The plane in depth units.
+    pub(super) fn fit(&self) -> PlaneFit {
+        let units = |v: i32| v as f32 / SIXTEENTHS as f32;
+        PlaneFit { z: units(self.z), dx: units(self.dx), dy: units(self.dy) }
+    }
+}
+
+/// Place of list `i` of a block along an axis, in quarters of a list from the middle.
+#[inline(always)]
+pub(super) fn quarters_from_middle(list: usize) -> i32 {
+    4 * list as i32 - 2 * (BLOCK as i32 - 1)
+}
+
+/// Column and row of lists in the middle of the block at a column and a row of blocks.
+pub(super) fn middle_of(block: [i32; 2]) -> [i32; 2] {
+    block.map(|at| at * BLOCK as i32 + BLOCK as i32 / 2)
+}
+
+/// A depth plane over a block as a search finds it, in depth units. The middle is that of [`DepthPlane`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct PlaneFit {
+    /// Depth at the middle of the block.
+    pub(super) z: f32,
+    /// Growth for each list rightwards.
+    pub(super) dx: f32,
+    /// Growth for each list downwards.
+    pub(super) dy: f32,
+}
+
+impl PlaneFit {
     /// Depth at list `i` of the block, counted row by row.
     #[inline]
     pub(super) fn at(&self, i: usize) -> f32 {
@@ -46,9 +94,9 @@ impl DepthPlane {
 #[repr(align(64))]
 pub(super) struct BlockLayer {
     /// Front of the layer.
-    pub front: DepthPlane,
+    pub front: PlaneFit,
     /// Back of the layer.
-    pub back: DepthPlane,
+    pub back: PlaneFit,
     /// Mask of the lists with matter; list (x, y) has bit 8y + x.
     pub mask: u64,
     /// Optical depth of each list; 0 where it has none.
@@ -60,8 +108,8 @@ pub(super) struct BlockLayer {
 impl Default for BlockLayer {
     fn default() -> Self {
         Self {
-            front: DepthPlane::default(),
-            back: DepthPlane::default(),
+            front: PlaneFit::default(),
+            back: PlaneFit::default(),
             mask: 0,
             tau: [0.0; BLOCK_LISTS],
             c: [Vec3::ZERO; BLOCK_LISTS],
@@ -103,6 +151,12 @@ impl TilePlace {
         (0..rows).fold(0, |mask, y| mask | row << (y * BLOCK))
     }
 }
+
+/// Depths are counted in this part of a depth unit.
+pub(super) const SIXTEENTHS: i32 = 16;
+/// Greatest depth and slope of a plane, in sixteenths: four times the range of depths, and half of it for each list.
+const MAX_DEPTH: i32 = 1 << 22;
+const MAX_SLOPE: i32 = 1 << 19;
 
 /// Number of blocks along a side of `side` lists.
 pub(super) fn blocks_along(side: u32) -> usize {

@@ -6,10 +6,10 @@ use super::super::error::CodecError;
 use super::entropy::{BitRecorder, Coder, Decoder, Tables, Tally, encoded};
 use super::model::{BLOCK, BLOCK_LISTS};
 use super::residual::{Expected, residual};
-use super::scales::{roots_from_ycc, ycc_from_roots};
+use super::scales::{FINE, roots_from_ycc, ycc_from_roots};
 use super::smooth::{Border, smooth};
 use super::syntax::{Contexts, NO_CLASS};
-use super::transform::BlockPlane;
+use super::transform::{BlockNumbers, BlockPlane};
 
 /// The shape of a picture, and the steps of its coding.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +49,7 @@ impl BlockPicture {
                 let pixel = values.each_ref().map(|plane| plane[i]);
                 let pixel = if self.channels == 1 { pixel } else { roots_from_ycc(pixel) };
                 for (sample, value) in samples[at..at + self.channels].iter_mut().zip(pixel) {
-                    *sample = value.clamp(0.0, 1.0);
+                    *sample = (value as f32 / FINE).clamp(0.0, 1.0);
                 }
             }
         }
@@ -61,21 +61,21 @@ impl BlockPicture {
         &self,
         mut coder: C,
         samples: &[f32],
-        mut whole: Option<&mut Vec<[BlockPlane; 3]>>,
+        mut whole: Option<&mut Vec<[BlockNumbers; 3]>>,
     ) -> C {
         let [width, height] = self.size;
         let contexts = Contexts::all();
         let across = width.div_ceil(BLOCK);
         // Means and classes of the components of all blocks so far.
-        let mut coded: Vec<[(f32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
+        let mut coded: Vec<[(i32, u8); 3]> = Vec::with_capacity(across * height.div_ceil(BLOCK));
         let steps = self.steps();
         for block in 0..across * height.div_ceil(BLOCK) {
             let mask = self.mask(block);
             let source = C::ENCODES.then(|| self.block(samples, block));
             let left = (block % across > 0).then(|| &coded[block - 1]);
             let above = block.checked_sub(across).map(|b| &coded[b]);
-            let mut own = [(0.0, 0); 3];
-            let mut values = [[0.0; BLOCK_LISTS]; 3];
+            let mut own = [(0, 0); 3];
+            let mut values = [[0; BLOCK_LISTS]; 3];
             for (c, values) in values.iter_mut().enumerate().take(self.channels) {
                 let near = [left, above].map(|b| b.map(|b| &b[c]));
                 let beside = match near {
@@ -86,9 +86,9 @@ impl BlockPicture {
                 let in_front = if c == 0 { NO_CLASS } else { own[c - 1].1 };
                 let component = if self.channels == 1 { 0 } else { [1, 2, 2][c] };
                 let mean = match near {
-                    [Some((a, _)), Some((b, _))] => 0.5 * (a + b),
+                    [Some((a, _)), Some((b, _))] => (a + b) >> 1,
                     [Some((a, _)), None] | [None, Some((a, _))] => *a,
-                    [None, None] => 0.0,
+                    [None, None] => 0,
                 };
                 let (class, _) = residual(
                     &mut coder,
@@ -101,7 +101,7 @@ impl BlockPicture {
                     &Expected::Constant(mean),
                     values,
                 );
-                own[c] = (values.iter().sum::<f32>() / BLOCK_LISTS as f32, class);
+                own[c] = (values.iter().sum::<i32>() >> 6, class);
             }
             coded.push(own);
             if let Some(whole) = &mut whole {
@@ -112,12 +112,12 @@ impl BlockPicture {
     }
 
     /// Steps of the components.
-    fn steps(&self) -> [f32; 3] {
-        [self.step, self.step * self.chroma, self.step * self.chroma]
+    fn steps(&self) -> [i32; 3] {
+        [1.0, self.chroma, self.chroma].map(|by| (self.step * by * FINE).round() as i32)
     }
 
     /// Smooths the borders between all blocks.
-    fn smooth(&self, whole: &mut [[BlockPlane; 3]]) {
+    fn smooth(&self, whole: &mut [[BlockNumbers; 3]]) {
         let across = self.size[0].div_ceil(BLOCK);
         let steps = &self.steps()[..self.channels];
         for (border, back) in [(Border::Beside, 1), (Border::Below, across)] {
@@ -158,7 +158,7 @@ impl BlockPicture {
                 ref one => [one[0], 0.0, 0.0],
             };
             for (plane, value) in planes.iter_mut().zip(pixel) {
-                plane[i] = value;
+                plane[i] = value * FINE;
             }
         }
         planes

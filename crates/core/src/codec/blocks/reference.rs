@@ -1,4 +1,4 @@
-//! Reference frames. A layer's prediction is fetched from one: its matter between two depths, to a quarter of a list.
+//! Reference frames, from which later ones are predicted.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -6,13 +6,11 @@ use std::sync::Arc;
 use super::corrections::{self, TilePicture};
 use super::entropy::Tables;
 use super::entropy::Tally;
-use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, TILE, lists_of, tiles_along};
-use super::motion::{ReferenceMotion, Shift};
-use super::scales::{f32_from_fixed, scales, whole};
+use super::model::{BLOCK, TILE, middle_of, tiles_along};
+use super::motion::ReferenceMotion;
 use super::steps::StepSizes;
 use super::tables::Counts;
-use super::tile::{CellLayer, CellPlanes, FrameTile, NO_CELLS, greater, lesser};
-use super::transform::BlockPlane;
+use super::tile::FrameTile;
 use crate::ids::FrameId;
 use crate::layer::FrameHeader;
 
@@ -133,15 +131,17 @@ impl Reference {
 
     /// Column and row of the reference's block that the middle of the block at (`x`, `y`) of a frame moves to. They
     /// may lie outside.
-    pub(super) fn moved_to(&self, motion: &ReferenceMotion, x: usize, y: usize) -> Option<[i32; 2]> {
+    pub(super) fn moved_to(&self, motion: &ReferenceMotion, at: [usize; 2]) -> Option<[i32; 2]> {
+        let [x, y] = at.map(|v| v as i32);
         // The depth of the move is the reference's, here or in a neighbour.
         let (front, _) = [(0, 0), (0, -1), (-1, 0), (1, 0), (0, 1)].into_iter().find_map(|(dx, dy)| {
-            let (tile, block) = self.block(x as i32 + dx, y as i32 + dy)?;
+            let (tile, block) = self.block(x + dx, y + dy)?;
             tile.planes[tile.layers(block)].first()
         })?;
-        let middle = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
-        let shift = motion.at(middle[0], middle[1], front.z)?;
-        Some([middle[0] + shift.x, middle[1] + shift.y].map(|v| (v / BLOCK as f32).floor() as i32))
+        let middle = middle_of([x, y]);
+        let shift = motion.at(middle, front.z)?;
+        let to = [64 * middle[0] + shift.x, 64 * middle[1] + shift.y];
+        Some(to.map(|v| v.div_euclid(64 * BLOCK as i32)))
     }
 }
 
@@ -209,346 +209,6 @@ impl References {
     }
 }
 
-/// The reference's matter in a layer.
-#[derive(Clone, Debug)]
-#[repr(align(64))]
-pub(super) struct Fetched {
-    /// u, Y, Co, Cg of each list. Lists without matter have the mean.
-    pub(super) planes: [BlockPlane; 4],
-    /// Mask of the lists with matter.
-    pub(super) mask: u64,
-    scratch: Box<FetchScratch>,
-}
-
-/// Scratch memory.
-#[derive(Clone, Debug)]
-struct FetchScratch {
-    between: DepthRange,
-    contents: Contents,
-    spread: CellPlanes,
-}
-
-impl Fetched {
-    pub(super) fn new() -> Self {
-        let scratch =
-            FetchScratch { between: DepthRange::NOWHERE, contents: Contents::NOTHING, spread: NO_CELLS };
-        Self { planes: [[0.0; BLOCK_LISTS]; 4], mask: 0, scratch: Box::new(scratch) }
-    }
-}
-
-wide! {
-    /// Fetches what the reference has between two planes of the block at (`x`, `y`), moved by `shift` to a quarter of
-    /// a list. Lists are mixed by nearness, and their colours also by opacity. If no list has matter, the planes stay
-    /// the same.
-    pub(super) fn fetch(
-        fetched: &mut Fetched,
-        reference: &Reference,
-        at: (usize, usize),
-        planes: &(DepthPlane, DepthPlane),
-        shift: Shift,
-        least_length: f32,
-    ) = fetch_any;
-}
-
-#[inline(always)]
-fn fetch_any(
-    fetched: &mut Fetched,
-    reference: &Reference,
-    (x, y): (usize, usize),
-    (front, back): &(DepthPlane, DepthPlane),
-    shift: Shift,
-    least_length: f32,
-) {
-    fetched.mask = 0;
-    let quarter = |s: f32| (s * 4.0 + 0.5).floor() as i32;
-    let (qx, qy) = (quarter(shift.x), quarter(shift.y));
-    let (fx, fy) = ((qx & 3) as f32 * 0.25, (qy & 3) as f32 * 0.25);
-    let (left, top) = ((x * BLOCK) as i32 + (qx >> 2), (y * BLOCK) as i32 + (qy >> 2));
-    let (columns, rows) = (BLOCK + usize::from(fx > 0.0), BLOCK + usize::from(fy > 0.0));
-    const SIDE: i32 = BLOCK as i32;
-    let (first_x, first_y) = (left.div_euclid(SIDE), top.div_euclid(SIDE));
-    let (inner_x, inner_y) = ((left - first_x * SIDE) as usize, (top - first_y * SIDE) as usize);
-    let mut found = [[[0.0; 2 * BLOCK]; BLOCK + 1]; NUM_VALUES];
-    let mut has_any = false;
-    let FetchScratch { between, contents, spread } = &mut *fetched.scratch;
-    for (by, bx) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-        // The relevant rows and columns of the block.
-        let [ys, xs] = [(by, inner_y, rows), (bx, inner_x, columns)].map(|(n, inner, num)| {
-            let inside = |v: usize| v.saturating_sub(n * BLOCK).min(BLOCK);
-            inside(inner)..inside(inner + num)
-        });
-        let Some((tile, block)) = reference.block(first_x + bx as i32, first_y + by as i32) else { continue };
-        let cells = tile.cells_of(block);
-        if xs.is_empty() || ys.is_empty() || cells.layers.is_empty() {
-            continue;
-        }
-        between.ys = ys.clone();
-        between.xs = xs;
-        look(
-            between,
-            &DepthQuery {
-                planes: (*front, *back),
-                at: [(bx * BLOCK) as f32 - inner_x as f32, (by * BLOCK) as f32 - inner_y as f32],
-                part: [fx, fy],
-                shift: shift.z,
-                least_length,
-            },
-        );
-        contents.clear();
-        let mut is_there = false;
-        let mut walk = cells.walk(spread);
-        while let Some((_, cells)) = walk.next_of(|layer| between.has(layer)) {
-            is_there |= add(contents, between, cells);
-        }
-        if !is_there {
-            continue;
-        }
-        has_any = true;
-        contents.finish(between.lists());
-        for (found, values) in found.iter_mut().zip(&contents.values) {
-            for y in ys.clone() {
-                let row = by * BLOCK + y - inner_y;
-                found[row][bx * BLOCK..][..BLOCK].copy_from_slice(&values[y * BLOCK..][..BLOCK]);
-            }
-        }
-    }
-    if !has_any {
-        return;
-    }
-    let (gx, gy) = (1.0 - fx, 1.0 - fy);
-    let taps = [(0, 0, gx * gy), (0, 1, fx * gy), (1, 0, gx * fy), (1, 1, fx * fy)];
-    let mut sums = [[0.0; BLOCK_LISTS]; 6];
-    // Lists without weight add zeros.
-    for (dy, dx, w) in taps.into_iter().filter(|(.., w)| *w > 0.0) {
-        let [weight, sums @ ..] = &mut sums;
-        for row in 0..BLOCK {
-            let alpha = &found[0][row + dy][inner_x + dx..][..BLOCK];
-            // Without matter, all values are zero.
-            for (sum, alpha) in weight[row * BLOCK..][..BLOCK].iter_mut().zip(alpha) {
-                *sum += if *alpha > 0.0 { w } else { 0.0 };
-            }
-            for (sums, values) in sums.iter_mut().zip(&found) {
-                let values = &values[row + dy][inner_x + dx..][..BLOCK];
-                for (sum, value) in sums[row * BLOCK..][..BLOCK].iter_mut().zip(values) {
-                    *sum += w * value;
-                }
-            }
-        }
-    }
-    let [weight, alpha, u, ycc @ ..] = &sums;
-    let [fetched_u, fetched_ycc @ ..] = &mut fetched.planes;
-    let mut is_there = [0u8; BLOCK_LISTS];
-    for i in 0..BLOCK_LISTS {
-        is_there[i] = u8::from(weight[i] > 0.5);
-        fetched_u[i] = u[i] / weight[i];
-    }
-    for (plane, ycc) in fetched_ycc.iter_mut().zip(ycc) {
-        for ((value, ycc), alpha) in plane.iter_mut().zip(ycc).zip(alpha) {
-            *value = ycc / alpha;
-        }
-    }
-    let mask = is_there.iter().enumerate().fold(0, |mask, (i, there)| mask | u64::from(*there) << i);
-    fetched.mask = mask;
-    if mask != 0 && mask != u64::MAX {
-        let (mut sums, mut sum_alpha, mut count) = ([0.0; 4], 0.0, 0.0);
-        for i in lists_of(mask) {
-            sums[0] += fetched.planes[0][i];
-            count += 1.0;
-            sum_alpha += alpha[i];
-            for (sum, ycc) in sums[1..].iter_mut().zip(ycc) {
-                *sum += ycc[i];
-            }
-        }
-        let means = [sums[0] / count, sums[1] / sum_alpha, sums[2] / sum_alpha, sums[3] / sum_alpha];
-        for i in lists_of(!mask) {
-            for (plane, mean) in fetched.planes.iter_mut().zip(means) {
-                plane[i] = mean;
-            }
-        }
-    }
-}
-
-/// The two depths between which the lists of a reference's block are read.
-#[derive(Clone, Debug)]
-#[repr(align(64))]
-struct DepthRange {
-    low: BlockPlane,
-    high: BlockPlane,
-    /// For each list, a cell lies in front if it ends at the first of these depth units or before, and behind if it
-    /// begins at the second or after. All cells of an unread list do.
-    in_front: [i32; BLOCK_LISTS],
-    behind: [i32; BLOCK_LISTS],
-    /// The least and the greatest of these.
-    range: [i32; 2],
-    /// The rows and columns that are read. Depths of lists in other rows mean nothing.
-    ys: std::ops::Range<usize>,
-    xs: std::ops::Range<usize>,
-}
-
-/// The inputs for the depths of a block's lists.
-struct DepthQuery {
-    planes: (DepthPlane, DepthPlane),
-    /// First column and row of the reference's block, relative to the predicted block.
-    at: [f32; 2],
-    /// The fraction of a list by which they are shifted, and the shift in depth.
-    part: [f32; 2],
-    shift: f32,
-    least_length: f32,
-}
-
-wide! {
-    /// Fills in the depths of the rows and columns.
-    fn look(between: &mut DepthRange, looked: &DepthQuery) = DepthRange::look_any;
-}
-
-impl DepthRange {
-    const NOWHERE: Self = Self {
-        low: [0.0; BLOCK_LISTS],
-        high: [0.0; BLOCK_LISTS],
-        in_front: [i32::MAX; BLOCK_LISTS],
-        behind: [0; BLOCK_LISTS],
-        range: [i32::MAX, 0],
-        ys: 0..0,
-        xs: 0..0,
-    };
-
-    /// The lists of the rows.
-    #[inline(always)]
-    fn lists(&self) -> std::ops::Range<usize> {
-        (self.ys.start * BLOCK).min(BLOCK_LISTS)..(self.ys.end * BLOCK).min(BLOCK_LISTS)
-    }
-
-    #[inline(always)]
-    fn look_any(&mut self, looked: &DepthQuery) {
-        let &DepthQuery { planes: (front, back), at, part, shift, least_length } = looked;
-        let (first, last) = (self.xs.start as u32, self.xs.end as u32);
-        let [mut least, mut most] = [i32::MAX, 0];
-        for i in self.lists() {
-            let (x, y) = (i as u32 % BLOCK as u32, i as u32 / BLOCK as u32);
-            let (dx, dy) = (x as f32 + at[0] - part[0] - MIDDLE, y as f32 + at[1] - part[1] - MIDDLE);
-            let low = front.z + front.dx * dx + front.dy * dy + shift;
-            let high = (back.z + back.dx * dx + back.dy * dy + shift).max(low + least_length);
-            // No cell ends at 0 or before, or beyond 65535.
-            let units = |depth: f32| whole(lesser(depth, BEYOND_ALL)) as i32;
-            let below = units(high);
-            let is_looked_at = (x >= first) & (x < last);
-            (self.low[i], self.high[i]) = (low, high);
-            self.in_front[i] = if is_looked_at { units(low) } else { i32::MAX };
-            self.behind[i] = if is_looked_at { below + i32::from((below as f32) < high) } else { 0 };
-            least = least.min(self.in_front[i]);
-            most = most.max(self.behind[i]);
-        }
-        self.range = [least, most];
-    }
-
-    /// Whether a layer may have a cell between any of the depths.
-    #[inline(always)]
-    fn has(&self, layer: &CellLayer) -> bool {
-        i32::from(layer.back) > self.range[0] && i32::from(layer.front) < self.range[1]
-    }
-}
-
-wide! {
-    /// Adds the parts of a layer's cells between the two depths, behind the present ones. A part has the colour of
-    /// its cell, and counts by its visible opacity. Returns whether there are any.
-    fn add(contents: &mut Contents, between: &DepthRange, cells: &CellPlanes) -> bool = Contents::add_any;
-}
-
-/// Composite of a block's lists between two depths.
-#[derive(Clone, Debug)]
-#[repr(align(64))]
-struct Contents {
-    /// Opacity, u, and Y, Co, Cg times opacity.
-    values: [BlockPlane; NUM_VALUES],
-    tau: BlockPlane,
-    kappa: BlockPlane,
-    /// Number of cells.
-    count: [u32; BLOCK_LISTS],
-}
-
-impl Contents {
-    const NOTHING: Self = Self {
-        values: [[0.0; BLOCK_LISTS]; NUM_VALUES],
-        tau: [0.0; BLOCK_LISTS],
-        kappa: [1.0; BLOCK_LISTS],
-        count: [0; BLOCK_LISTS],
-    };
-
-    #[inline(always)]
-    fn clear(&mut self) {
-        self.values = [[0.0; BLOCK_LISTS]; NUM_VALUES];
-        self.tau = [0.0; BLOCK_LISTS];
-        self.kappa = [1.0; BLOCK_LISTS];
-        self.count = [0; BLOCK_LISTS];
-    }
-
-    #[inline(always)]
-    fn add_any(&mut self, between: &DepthRange, cells: &CellPlanes) -> bool {
-        let scales = scales();
-        let [fronts, backs, of_u, ycc @ ..] = cells;
-        let lists = between.lists();
-        let (mut codes, mut part) = ([0u16; BLOCK_LISTS], [0.0; BLOCK_LISTS]);
-        let (mut num, mut num_parts) = (0, 0);
-        for i in lists.clone() {
-            let (front, back) = (f32::from(fronts[i]), f32::from(backs[i]));
-            let is_in =
-                (i32::from(backs[i]) > between.in_front[i]) & (i32::from(fronts[i]) < between.behind[i]);
-            part[i] = (lesser(back, between.high[i]) - greater(front, between.low[i])) / (back - front);
-            codes[i] = if is_in { of_u[i] } else { 0 };
-            num += i32::from(is_in);
-            num_parts += i32::from(is_in & (part[i] <= WHOLE));
-        }
-        if num == 0 {
-            return false;
-        }
-        // Every cell has optical depth and opacity.
-        let (mut tau, mut alpha) = ([0.0; BLOCK_LISTS], [0.0; BLOCK_LISTS]);
-        for i in lists.clone() {
-            [tau[i], alpha[i]] = scales.tau_and_alpha(codes[i]);
-        }
-        if num_parts > 0 {
-            for i in lists.clone() {
-                let code = scales.code(scales.u_from_tau(tau[i] * part[i]));
-                let is_part = (codes[i] > 0) & (part[i] <= WHOLE);
-                codes[i] = if is_part { code } else { codes[i] };
-            }
-            for i in lists.clone() {
-                [tau[i], alpha[i]] = scales.tau_and_alpha(codes[i]);
-            }
-        }
-        let [sum_alpha, u, sums @ ..] = &mut self.values;
-        for i in lists.clone() {
-            let seen = self.kappa[i] * alpha[i];
-            sum_alpha[i] += seen;
-            u[i] = if codes[i] > 0 { scales.u(codes[i]) } else { u[i] };
-            self.tau[i] += tau[i];
-            self.kappa[i] *= 1.0 - alpha[i];
-            self.count[i] += u32::from(codes[i] > 0);
-            for (sum, ycc) in sums.iter_mut().zip(ycc) {
-                sum[i] += seen * f32_from_fixed(ycc[i] as i16);
-            }
-        }
-        true
-    }
-
-    /// For several cells, u is that of their total optical depth.
-    #[inline(always)]
-    fn finish(&mut self, lists: std::ops::Range<usize>) {
-        let [_, u, ..] = &mut self.values;
-        let (u, tau, count) = (&mut u[lists.clone()], &self.tau[lists.clone()], &self.count[lists]);
-        if count.iter().fold(0, |most, count| most.max(*count)) > 1 {
-            let scales = scales();
-            let mut together = [0.0; BLOCK_LISTS];
-            for (together, tau) in together.iter_mut().zip(tau) {
-                *together = scales.u_from_tau(*tau);
-            }
-            for ((u, together), count) in u.iter_mut().zip(&together).zip(count) {
-                *u = if *count > 1 { *together } else { *u };
-            }
-        }
-    }
-}
-
 /// Most frames that are kept. A frame names no older one.
 pub const MAX_REFERENCES: usize = 32;
 /// Most bytes of kept frames, as counted. A cell counts 12 bytes. So 1280×720 lists of 4 cells on average count 44
@@ -559,15 +219,3 @@ pub const MAX_REFERENCE_BYTES: usize = 512 << 20;
 /// Most frames that may be named before the receiver reports one of them: those of a round trip of 400 ms at 60
 /// frames a second. This is also the longest time for which a lost frame is missed.
 const MAX_AHEAD: usize = 24;
-/// A larger part of a cell counts as the whole cell.
-const WHOLE: f32 = 0.999;
-/// A depth beyond all matter, depth units.
-const BEYOND_ALL: f32 = 70_000.0;
-/// Number of values: opacity, u, Y, Co and Cg.
-const NUM_VALUES: usize = 5;
-/// Half of a block's side, lists.
-pub(super) const HALF: f32 = BLOCK as f32 / 2.0;
-const MIDDLE: f32 = (BLOCK as f32 - 1.0) / 2.0;
-
-#[cfg(test)]
-mod tests;

@@ -1,20 +1,20 @@
 //! Codes a plane of 8×8 values as its prediction and the quantised coefficients of the difference.
 
 use super::entropy::Coder;
-use super::model::{BLOCK, BLOCK_LISTS};
-use super::scales::{fixed_from_f32, whole};
+use super::model::BLOCK_LISTS;
+use super::scales::whole;
 use super::syntax::{Contexts, Levels};
-use super::transform::{BlockPlane, ZIGZAG, fill_in, forward, inverse};
+use super::transform::{BlockNumbers, BlockPlane, ZIGZAG, fill_in, forward, inverse};
 
 /// The prediction of a plane.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Expected<'a> {
-    Constant(f32),
-    Plane(&'a BlockPlane),
+    Constant(i32),
+    Plane(&'a BlockNumbers),
 }
 
 impl Expected<'_> {
-    fn values(&self) -> BlockPlane {
+    fn values(&self) -> BlockNumbers {
         match self {
             Self::Constant(value) => [*value; BLOCK_LISTS],
             Self::Plane(plane) => **plane,
@@ -23,53 +23,54 @@ impl Expected<'_> {
 }
 
 /// Codes the difference of a plane from its prediction, and writes the decoded values. Returns the class, and the
-/// difference of the mean.
+/// difference of the mean. Numbers are whole, a quarter of a code of u and 1/32768 of Y, Co and Cg.
 #[expect(clippy::too_many_arguments, reason = "two directions in one function")]
 pub(super) fn residual<C: Coder>(
     coder: &mut C,
     contexts: &Contexts,
     component: usize,
     near: [u8; 2],
-    step: f32,
+    step: i32,
     mask: u64,
     source: Option<&BlockPlane>,
     expected: &Expected<'_>,
-    values: &mut BlockPlane,
-) -> (u8, f32) {
+    values: &mut BlockNumbers,
+) -> (u8, i32) {
     let mut levels = Levels::ZERO;
     if let (true, Some(source)) = (C::ENCODES, source) {
         let expected = expected.values();
-        let mut difference: BlockPlane = std::array::from_fn(|i| source[i] - expected[i]);
+        let mut difference: BlockPlane = std::array::from_fn(|i| source[i] - expected[i] as f32);
         fill_in(&mut difference, mask);
         let coefficients = forward(&difference);
         let rounding =
             if component < FIRST_INTER || component == CORRECTION { ROUNDING } else { INTER_ROUNDING };
-        quantize(&coefficients, step, rounding, &mut levels);
+        quantize(&coefficients, step as f32, rounding, &mut levels);
     }
     let class = contexts.coefficients(coder, component, near, &mut levels);
-    let mut coefficients = [0.0; BLOCK_LISTS];
+    let mut coefficients = [0; BLOCK_LISTS];
     for (k, &level) in levels.values[..levels.length].iter().enumerate() {
         if level != 0 {
-            let size = level.unsigned_abs() as f32 - if k > 0 { TOWARDS_ZERO } else { 0.0 };
-            coefficients[usize::from(ZIGZAG[k])] = if level < 0 { -size * step } else { size * step };
+            let towards_zero = if k > 0 { step.wrapping_mul(TOWARDS_ZERO) >> 8 } else { 0 };
+            let size = level.wrapping_abs().wrapping_mul(step).wrapping_sub(towards_zero);
+            coefficients[usize::from(ZIGZAG[k])] = if level < 0 { size.wrapping_neg() } else { size };
         }
     }
-    let mean = coefficients[0] * (1.0 / BLOCK as f32);
+    let mean = coefficients[0].wrapping_add(4) >> 3;
     *values = expected.values();
     if levels.length == 1 {
-        values.iter_mut().for_each(|v| *v += mean);
+        values.iter_mut().for_each(|v| *v = v.wrapping_add(mean));
     } else if levels.length > 1 {
         for (value, difference) in values.iter_mut().zip(inverse(&coefficients)) {
-            *value += difference;
+            *value = value.wrapping_add(difference);
         }
     }
     (class, mean)
 }
 
 wide! {
-    /// Colours as stored numbers, clamped to a range.
-    pub(super) fn fixed_of(values: &BlockPlane, range: [f32; 2], fixed: &mut [i16; BLOCK_LISTS])
-        = fixed_of_any;
+    /// Colours as stored numbers, of which four times a range is given: a quarter, rounded.
+    pub(super) fn stored_of(values: &BlockNumbers, range: [i32; 2], stored: &mut [i16; BLOCK_LISTS])
+        = stored_of_any;
 }
 
 wide! {
@@ -78,9 +79,9 @@ wide! {
 }
 
 #[inline(always)]
-fn fixed_of_any(values: &BlockPlane, [least, most]: [f32; 2], fixed: &mut [i16; BLOCK_LISTS]) {
-    for (fixed, value) in fixed.iter_mut().zip(values) {
-        *fixed = fixed_from_f32(value.clamp(least, most));
+fn stored_of_any(values: &BlockNumbers, [least, most]: [i32; 2], stored: &mut [i16; BLOCK_LISTS]) {
+    for (stored, value) in stored.iter_mut().zip(values) {
+        *stored = ((*value.max(&least).min(&most) + 2) >> 2) as i16;
     }
 }
 
@@ -125,5 +126,5 @@ const INTER_ROUNDING: [f32; 2] = [0.35, 0.25];
 /// Components from here on are predicted from a reference, except the last.
 const FIRST_INTER: usize = 4;
 const CORRECTION: usize = 7;
-/// Distance by which a coefficient is closer to zero than its level on average, steps.
-const TOWARDS_ZERO: f32 = 0.05;
+/// Distance by which a coefficient is closer to zero than its level on average: .05, in 256ths of a step.
+const TOWARDS_ZERO: i32 = 13;

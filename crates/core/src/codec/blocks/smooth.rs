@@ -4,8 +4,11 @@
 //! shells).
 
 use super::model::{BLOCK, BLOCK_LISTS};
-use super::scales::{roots_from_ycc, ycc_from_roots};
-use super::transform::{BlockPlane, Line8};
+use super::scales::roots_from_ycc;
+use super::transform::BlockNumbers;
+
+/// Samples of the lines at a place across a border.
+type Line8 = [i32; BLOCK];
 
 /// Samples of all lines across a border: the last three of the first block and the first three of the second.
 type Across = [Line8; NEAR];
@@ -40,7 +43,7 @@ impl Border {
 
     /// The three samples on either side.
     #[inline(always)]
-    fn across(self, first: &BlockPlane, second: &BlockPlane) -> Across {
+    fn across(self, first: &BlockNumbers, second: &BlockNumbers) -> Across {
         std::array::from_fn(|at| match at.checked_sub(NEAR / 2) {
             Some(away) => self.line(second, away),
             None => self.line(first, BLOCK - NEAR / 2 + at),
@@ -49,7 +52,7 @@ impl Border {
 
     /// Adds the moves to the two samples on either side.
     #[inline(always)]
-    fn add(self, first: &mut BlockPlane, second: &mut BlockPlane, across: &Across, moves: &[Line8; 4]) {
+    fn add(self, first: &mut BlockNumbers, second: &mut BlockNumbers, across: &Across, moves: &[Line8; 4]) {
         let moved = |n: usize| -> Line8 { std::array::from_fn(|i| across[n + 1][i] + moves[n][i]) };
         self.set_line(first, BLOCK - 2, &moved(0));
         self.set_line(first, BLOCK - 1, &moved(1));
@@ -59,7 +62,7 @@ impl Border {
 
     /// The samples of a plane at index `away` across the border.
     #[inline(always)]
-    fn line(self, plane: &BlockPlane, away: usize) -> Line8 {
+    fn line(self, plane: &BlockNumbers, away: usize) -> Line8 {
         match self {
             Self::Beside => std::array::from_fn(|y| plane[y * BLOCK + away]),
             Self::Below => plane.as_chunks().0[away],
@@ -67,7 +70,7 @@ impl Border {
     }
 
     #[inline(always)]
-    fn set_line(self, plane: &mut BlockPlane, away: usize, line: &Line8) {
+    fn set_line(self, plane: &mut BlockNumbers, away: usize, line: &Line8) {
         match self {
             Self::Beside => line.iter().enumerate().for_each(|(y, value)| plane[y * BLOCK + away] = *value),
             Self::Below => plane.as_chunks_mut().0[away] = *line,
@@ -77,7 +80,7 @@ impl Border {
 
 wide! {
     /// Smooths `lines` of a border in several planes. `steps` are those of their coding.
-    pub(super) fn smooth(border: Border, first: &mut [BlockPlane], second: &mut [BlockPlane], lines: u8, steps: &[f32])
+    pub(super) fn smooth(border: Border, first: &mut [BlockNumbers], second: &mut [BlockNumbers], lines: u8, steps: &[i32])
         = smooth_any;
 }
 
@@ -85,15 +88,21 @@ wide! {
     /// The same in planes of roots of red, green and blue. `steps` are those of Y, Co and Cg.
     pub(super) fn smooth_roots(
         border: Border,
-        first: &mut [BlockPlane; 3],
-        second: &mut [BlockPlane; 3],
+        first: &mut [BlockNumbers; 3],
+        second: &mut [BlockNumbers; 3],
         lines: u8,
-        steps: &[f32; 3],
+        steps: &[i32; 3],
     ) = smooth_roots_any;
 }
 
 #[inline(always)]
-fn smooth_any(border: Border, first: &mut [BlockPlane], second: &mut [BlockPlane], lines: u8, steps: &[f32]) {
+fn smooth_any(
+    border: Border,
+    first: &mut [BlockNumbers],
+    second: &mut [BlockNumbers],
+    lines: u8,
+    steps: &[i32],
+) {
     for ((first, second), &step) in first.iter_mut().zip(second).zip(steps) {
         let across = border.across(first, second);
         let moves = moves(&across, lines, step);
@@ -104,17 +113,18 @@ fn smooth_any(border: Border, first: &mut [BlockPlane], second: &mut [BlockPlane
 #[inline(always)]
 fn smooth_roots_any(
     border: Border,
-    first: &mut [BlockPlane; 3],
-    second: &mut [BlockPlane; 3],
+    first: &mut [BlockNumbers; 3],
+    second: &mut [BlockNumbers; 3],
     lines: u8,
-    steps: &[f32; 3],
+    steps: &[i32; 3],
 ) {
     let roots: [Across; 3] = std::array::from_fn(|c| border.across(&first[c], &second[c]));
     let mut ycc = roots;
     for at in 0..NEAR {
         for i in 0..BLOCK {
-            let components = ycc_from_roots([roots[0][at][i], roots[1][at][i], roots[2][at][i]]);
-            [ycc[0][at][i], ycc[1][at][i], ycc[2][at][i]] = components;
+            let [r, g, b] = [roots[0][at][i], roots[1][at][i], roots[2][at][i]];
+            [ycc[0][at][i], ycc[1][at][i], ycc[2][at][i]] =
+                [(r + 2 * g + b) >> 2, (r - b) >> 1, (2 * g - r - b) >> 2];
         }
     }
     let of_ycc: [[Line8; 4]; 3] = std::array::from_fn(|c| moves(&ycc[c], lines, steps[c]));
@@ -132,37 +142,35 @@ fn smooth_roots_any(
 
 /// Moves of the four samples next to the border in each line; 0 where the line is not smoothed.
 #[inline(always)]
-fn moves([p2, p1, p0, q0, q1, q2]: &Across, lines: u8, step: f32) -> [Line8; 4] {
-    let (most, bend, far) = (MOST * step, BEND * step, FAR * step);
-    let mut moves = [[0.0; BLOCK]; 4];
+fn moves([p2, p1, p0, q0, q1, q2]: &Across, lines: u8, step: i32) -> [Line8; 4] {
+    let [most, bend, far] = [MOST, BEND, FAR].map(|part| (part * step) >> 8);
+    let mut moves = [[0; BLOCK]; 4];
     for i in 0..BLOCK {
-        let bent = (p2[i] - 2.0 * p1[i] + p0[i]).abs() + (q2[i] - 2.0 * q1[i] + q0[i]).abs();
-        let apart = (9.0 * (q0[i] - p0[i]) - 3.0 * (q1[i] - p1[i])) * (1.0 / 16.0);
+        let bent = (p2[i] - 2 * p1[i] + p0[i]).abs() + (q2[i] - 2 * q1[i] + q0[i]).abs();
+        let apart = (9 * (q0[i] - p0[i]) - 3 * (q1[i] - p1[i])) >> 4;
         let is_smoothed = (lines >> i & 1 == 1) & (bent <= bend) & (apart.abs() <= far);
         let by = within(apart, most);
-        let of_p1 = within(0.5 * (0.5 * (p2[i] + p0[i]) - p1[i] + by), 0.5 * most);
-        let of_q1 = within(0.5 * (0.5 * (q2[i] + q0[i]) - q1[i] - by), 0.5 * most);
+        let of_p1 = within((((p2[i] + p0[i]) >> 1) - p1[i] + by) >> 1, most >> 1);
+        let of_q1 = within((((q2[i] + q0[i]) >> 1) - q1[i] - by) >> 1, most >> 1);
         for (moves, by) in moves.iter_mut().zip([of_p1, by, -by, of_q1]) {
-            moves[i] = if is_smoothed { by } else { 0.0 };
+            moves[i] = if is_smoothed { by } else { 0 };
         }
     }
     moves
 }
 
-/// Uses the processor's instruction, which ignores NaN.
 #[inline(always)]
-fn within(x: f32, most: f32) -> f32 {
-    let x = if x < most { x } else { most };
-    if x > -most { x } else { -most }
+fn within(x: i32, most: i32) -> i32 {
+    x.min(most).max(-most)
 }
 
 const NEAR: usize = 6;
-/// Greatest move of a sample at a border, steps: the best of .06 to .3 (docs/BENCHMARKS.md, "Borders").
-const MOST: f32 = 0.12;
-/// Greatest bend of both sides together, and greatest jump, steps. The jump counts by 3/8 if both sides are flat.
-/// Beyond these limits, the jump belongs to the picture.
-const BEND: f32 = 2.0;
-const FAR: f32 = 1.8;
+/// Greatest move of a sample at a border: .12 steps, the best of .06 to .3 (docs/BENCHMARKS.md, "Borders"). In 256ths.
+const MOST: i32 = 31;
+/// Greatest bend of both sides together, and greatest jump: 2 and 1.8 steps. The jump counts by 3/8 if both sides are
+/// flat. Beyond these limits, the jump belongs to the picture.
+const BEND: i32 = 512;
+const FAR: i32 = 461;
 const _: () = assert!(BLOCK == 8 && BLOCK_LISTS == 64);
 
 #[cfg(test)]
@@ -170,20 +178,27 @@ mod tests {
     use super::*;
     use crate::simd::tests::with_each;
 
+    /// A sample of 1.
+    const ONE: f32 = 32_768.0;
     const BORDERS: [Border; 2] = [Border::Beside, Border::Below];
 
     /// A pair of blocks of a picture, across a border that is at 0.
-    fn pair(border: Border, picture: impl Fn(f32, f32) -> f32) -> [BlockPlane; 2] {
+    fn pair(border: Border, picture: impl Fn(f32, f32) -> f32) -> [BlockNumbers; 2] {
         [-8.0, 0.0].map(|start| {
             std::array::from_fn(|i| {
                 let at = [(i % BLOCK) as f32, (i / BLOCK) as f32];
                 let [across, along] = if border == Border::Beside { at } else { [at[1], at[0]] };
-                picture(start + across, along)
+                (picture(start + across, along) * ONE).round() as i32
             })
         })
     }
 
-    fn smoothed(border: Border, [first, second]: [BlockPlane; 2], lines: u8, step: f32) -> [BlockPlane; 2] {
+    fn smoothed(
+        border: Border,
+        [first, second]: [BlockNumbers; 2],
+        lines: u8,
+        step: i32,
+    ) -> [BlockNumbers; 2] {
         let (mut first, mut second) = ([first], [second]);
         smooth(border, &mut first, &mut second, lines, &[step]);
         [first[0], second[0]]
@@ -193,19 +208,17 @@ mod tests {
     fn small_steps_between_blocks_become_smaller_and_edges_and_slopes_stay() {
         for border in BORDERS {
             let step_of =
-                |pair: &[BlockPlane; 2]| (border.line(&pair[1], 0)[3] - border.line(&pair[0], 7)[3]).abs();
+                |pair: &[BlockNumbers; 2]| (border.line(&pair[1], 0)[3] - border.line(&pair[0], 7)[3]).abs();
             let small = pair(border, |x, _| if x < 0.0 { 0.5 } else { 0.502 });
-            let found = smoothed(border, small, u8::MAX, 0.02);
-            assert!(step_of(&found) < 0.5 * step_of(&small), "{border:?}");
+            let found = smoothed(border, small, u8::MAX, 655);
+            assert!(2 * step_of(&found) < step_of(&small), "{border:?}");
             // An edge that is many steps high, and a slope, which has no step.
             for kept in [
                 pair(border, |x, _| if x < 0.0 { 0.2 } else { 0.5 }),
                 pair(border, |x, y| 0.25 + x * 0.0625 + y * 0.125),
             ] {
-                let found = smoothed(border, kept, u8::MAX, 0.02);
-                assert!(
-                    found.as_flattened().iter().zip(kept.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-6)
-                );
+                let found = smoothed(border, kept, u8::MAX, 655);
+                assert_eq!(found, kept, "{border:?}");
             }
         }
     }
@@ -213,7 +226,7 @@ mod tests {
     /// A step across the border, and a bend of one side, just inside and outside of what is smoothed.
     #[test]
     fn what_bends_or_steps_by_more_than_its_bound_stays() {
-        let step = 0.01;
+        let step = 328;
         let moved = |border, picture: &dyn Fn(f32, f32) -> f32| {
             let given = pair(border, picture);
             smoothed(border, given, u8::MAX, step) != given
@@ -221,14 +234,14 @@ mod tests {
         for border in BORDERS {
             for (part, is_smoothed) in [(0.98, true), (1.02, false)] {
                 // Flat on both sides: 9/16 − 3/16 of the step count.
-                let high = part * FAR * step * 8.0 / 3.0;
+                let high = part * (FAR * step) as f32 / 256.0 / ONE * 8.0 / 3.0;
                 assert_eq!(
                     moved(border, &|x, _| if x < 0.0 { 0.5 } else { 0.5 + high }),
                     is_smoothed,
                     "{border:?}"
                 );
                 // The sample next to the border is off by what its side bends by.
-                let off = part * BEND * step;
+                let off = part * (BEND * step) as f32 / 256.0 / ONE;
                 assert_eq!(
                     moved(border, &|x, _| if x == 0.0 { 0.5 + off } else { 0.5 }),
                     is_smoothed,
@@ -244,7 +257,7 @@ mod tests {
         for border in BORDERS {
             let given = pair(border, noise);
             let lines = 0b1011_0110;
-            let found = smoothed(border, given, lines, 0.01);
+            let found = smoothed(border, given, lines, 328);
             let mut num_moved = 0;
             for (given, found, near) in [(given[0], found[0], [7, 6]), (given[1], found[1], [0, 1])] {
                 for away in 0..BLOCK {
@@ -252,15 +265,11 @@ mod tests {
                     for i in 0..BLOCK {
                         let moved = (found[i] - given[i]).abs();
                         let most = match near.iter().position(|n| *n == away) {
-                            Some(n) if lines >> i & 1 == 1 => MOST * 0.01 * [1.0, 0.5][n],
-                            _ => 0.0,
+                            Some(n) if lines >> i & 1 == 1 => ((MOST * 328) >> 8) >> n,
+                            _ => 0,
                         };
-                        // Rounding of numbers about 0.5.
-                        assert!(
-                            moved <= most * 1.001 + if most > 0.0 { 1e-7 } else { 0.0 },
-                            "{border:?} {away} {i}"
-                        );
-                        num_moved += usize::from(moved > 0.0);
+                        assert!(moved <= most, "{border:?} {away} {i}");
+                        num_moved += usize::from(moved > 0);
                     }
                 }
             }
@@ -274,22 +283,22 @@ mod tests {
         for border in BORDERS {
             let given = pair(border, |x, y| 0.5 + 0.01 * (x * 1.7 + y * y).sin());
             let [mut first, mut second] = given.map(|plane| [plane; 3]);
-            smooth_roots(border, &mut first, &mut second, u8::MAX, &[0.02, 0.06, 0.06]);
-            let expected = smoothed(border, given, u8::MAX, 0.02);
+            smooth_roots(border, &mut first, &mut second, u8::MAX, &[655, 1966, 1966]);
+            let expected = smoothed(border, given, u8::MAX, 655);
             for (found, expected) in [first, second].iter().zip(expected) {
                 for channel in found {
-                    // Rounding of numbers about 0.5.
-                    assert!(channel.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6));
+                    assert_eq!(*channel, expected, "{border:?}");
                 }
             }
             // A step of colour alone, by up to its share of the coarser step: red and blue by as much as Co.
             let given = pair(border, |x, _| if x < 0.0 { -0.006 } else { 0.006 });
+            let gray = 16_384;
             let [mut first, mut second] =
-                given.map(|co| [co.map(|v| 0.5 + v), [0.5; BLOCK_LISTS], co.map(|v| 0.5 - v)]);
-            smooth_roots(border, &mut first, &mut second, u8::MAX, &[0.001, 0.06, 0.06]);
+                given.map(|co| [co.map(|v| gray + v), [gray; BLOCK_LISTS], co.map(|v| gray - v)]);
+            smooth_roots(border, &mut first, &mut second, u8::MAX, &[33, 1966, 1966]);
             let after = border.line(&second[0], 0)[3] - border.line(&first[0], 7)[3];
-            assert!(after < 0.006, "{after}");
-            assert!(second[1].iter().all(|v| (v - 0.5).abs() < 1e-6), "{border:?}");
+            assert!(after < 197, "{after}");
+            assert_eq!(second[1], [gray; BLOCK_LISTS], "{border:?}");
         }
     }
 
@@ -315,12 +324,12 @@ mod tests {
     fn wider_instructions_smooth_alike() {
         for border in BORDERS {
             let given = pair(border, |x, y| 0.5 + 0.01 * (x * 1.7 + y * y).sin());
-            let [portable, avx2, avx512] = with_each(|| smoothed(border, given, 0b1110_1111, 0.02));
+            let [portable, avx2, avx512] = with_each(|| smoothed(border, given, 0b1110_1111, 655));
             assert_eq!([avx2, avx512], [portable; 2]);
             let of_roots = || {
                 let [mut first, mut second] =
-                    given.map(|plane| [plane, plane.map(|v| 0.8 * v), plane.map(|v| v * v)]);
-                smooth_roots(border, &mut first, &mut second, 0b1110_1111, &[0.02, 0.06, 0.06]);
+                    given.map(|plane| [plane, plane.map(|v| v - (v >> 2)), plane.map(|v| (v * v) >> 15)]);
+                smooth_roots(border, &mut first, &mut second, 0b1110_1111, &[655, 1966, 1966]);
                 [first, second]
             };
             let [portable, avx2, avx512] = with_each(of_roots);

@@ -1,6 +1,7 @@
 //! Turns a quality into the steps that a chunk states, and into the cost of a layer.
 
 use super::model::BLOCK_LISTS;
+use super::scales::{FINE, QUARTERS_PER_U};
 use crate::camera::Camera;
 use crate::layer::DEPTH_UNITS;
 
@@ -50,32 +51,37 @@ fn units_per_pixel(camera: &Camera) -> f32 {
 }
 
 /// The steps of quantised values, as a decoder needs them.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct StepSizes {
     /// Step of depths, depth units.
-    pub(super) depth: f32,
-    /// Step of u.
-    pub(super) opacity: f32,
-    /// Step of Y where it is fully visible.
-    pub(super) color: f32,
-    /// Step of Y in the correction of the picture.
-    pub(super) picture: f32,
-    /// Step of Co and Cg over that of Y.
-    pub(super) chroma: f32,
+    pub(super) depth: u16,
+    /// Step of u, in quarters of a code.
+    pub(super) opacity: u16,
+    /// Step of Y where it is fully visible, in units of [`FINE`].
+    pub(super) color: u16,
+    /// Step of Y in the correction of the picture, in units of [`FINE`].
+    pub(super) picture: u16,
+    /// Step of Co and Cg over that of Y, in sixteenths.
+    pub(super) chroma: u16,
 }
 
 impl StepSizes {
     /// Steps of Y, Co and Cg in the correction of the picture.
-    pub(super) fn of_picture(&self) -> [f32; 3] {
-        [self.picture, self.picture * self.chroma, self.picture * self.chroma]
+    pub(super) fn of_picture(&self) -> [i32; 3] {
+        let of_chroma = self.of_chroma(self.picture.into());
+        [self.picture.into(), of_chroma, of_chroma]
+    }
+
+    /// Step of Co and Cg, given that of Y.
+    pub(super) fn of_chroma(&self, of_brightness: i32) -> i32 {
+        of_brightness.wrapping_mul(self.chroma.into()) >> 4
     }
 
     pub(super) fn to_bytes(self) -> [u8; STEPS_BYTES] {
         let mut bytes = [0; STEPS_BYTES];
-        let words =
-            [self.depth, self.opacity * FINE, self.color * FINE, self.picture * FINE, self.chroma * CHROMA];
+        let words = [self.depth, self.opacity, self.color, self.picture, self.chroma];
         for (bytes, word) in bytes.as_chunks_mut::<2>().0.iter_mut().zip(words) {
-            *bytes = (word as u16).to_le_bytes();
+            *bytes = word.to_le_bytes();
         }
         bytes
     }
@@ -86,15 +92,8 @@ impl StepSizes {
         for (word, bytes) in words.iter_mut().zip(bytes.as_chunks::<2>().0) {
             *word = u16::from_le_bytes(*bytes);
         }
-        let [depth, opacity, color, picture, chroma] = words.map(f32::from);
-        let is_sound = words.iter().all(|&word| word > 0);
-        is_sound.then(|| Self {
-            depth,
-            opacity: opacity / FINE,
-            color: color / FINE,
-            picture: picture / FINE,
-            chroma: chroma / CHROMA,
-        })
+        let [depth, opacity, color, picture, chroma] = words;
+        words.iter().all(|&word| word > 0).then_some(Self { depth, opacity, color, picture, chroma })
     }
 }
 
@@ -118,13 +117,13 @@ pub(super) fn from_settings(
     let [lambda, pixels, opacity, color, picture, chroma]: [f32; 6] =
         std::array::from_fn(|i| FAMILY[row][i] * (FAMILY[row + 1][i] / FAMILY[row][i]).powf(part));
     let units_per_pixel = units_per_pixel(camera);
-    let fine = |step: f32| (step * FINE).round().clamp(1.0, 65535.0) / FINE;
+    let number = |step: f32| step.round().clamp(1.0, 65535.0) as u16;
     let steps = StepSizes {
-        depth: (pixels * units_per_pixel).round().clamp(1.0, 16384.0),
-        opacity: fine(opacity),
-        color: fine(color),
-        picture: fine(picture * corrections),
-        chroma: (chroma * CHROMA).round() / CHROMA,
+        depth: number((pixels * units_per_pixel).min(16384.0)),
+        opacity: number(opacity * QUARTERS_PER_U),
+        color: number(color * FINE),
+        picture: number(picture * corrections * FINE),
+        chroma: number(chroma * 16.0),
     };
     (LayerCost { lambda: lambda * moves, units_per_pixel }, steps)
 }
@@ -158,8 +157,6 @@ pub const MAX_TURN_DEG: u8 = 10;
 pub const MAX_QUALITY: u8 = 100;
 /// Size of [`StepSizes`], bytes.
 pub(super) const STEPS_BYTES: usize = 10;
-const FINE: f32 = 4096.0;
-const CHROMA: f32 = 16.0;
 /// λ, step of depth in pixels, steps of u, of Y and of the correction, and step of colour over that of brightness.
 /// The coarsest come first. Measurements found each row better than its neighbours at the same bytes.
 const FAMILY: [[f32; 6]; 6] = [

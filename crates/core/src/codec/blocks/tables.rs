@@ -101,7 +101,7 @@ impl ShareOfChanges {
 /// How often each context had a zero and a one in the last frames, in sixteenths. Later frames count more.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Counts {
-    of_places: Vec<[u32; 2]>,
+    pub(super) of_places: Vec<[u32; 2]>,
 }
 
 impl Default for Counts {

@@ -1,7 +1,9 @@
 //! The decoded blocks of a tile. The client shows them, and later frames are predicted from them.
 
-use super::model::{BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS, TilePlace, lists_of};
-use super::scales::whole;
+use super::model::{
+    BLOCK, BLOCK_LISTS, DepthPlane, MAX_LAYERS, SIXTEENTHS, TilePlace, lists_of, quarters_from_middle,
+};
+use super::scales::{UNIT, behind};
 
 /// Front and back of a layer.
 pub(super) type Planes = (DepthPlane, DepthPlane);
@@ -289,9 +291,9 @@ pub(super) struct OpenBlock {
     layers: Box<[(u64, CellPlanes); MAX_LAYERS]>,
     num_layers: usize,
     /// Back of the last cell of each list; 0 for none.
-    last: [f32; BLOCK_LISTS],
-    /// Transmittance of each list so far.
-    pub(super) kappa: [f32; BLOCK_LISTS],
+    last: [i32; BLOCK_LISTS],
+    /// Transmittance of each list so far, in units of [`UNIT`].
+    pub(super) kappa: [i32; BLOCK_LISTS],
 }
 
 impl Default for OpenBlock {
@@ -299,8 +301,8 @@ impl Default for OpenBlock {
         Self {
             layers: Box::new([(0, NO_CELLS); MAX_LAYERS]),
             num_layers: 0,
-            last: [0.0; BLOCK_LISTS],
-            kappa: [1.0; BLOCK_LISTS],
+            last: [0; BLOCK_LISTS],
+            kappa: [UNIT - 1; BLOCK_LISTS],
         }
     }
 }
@@ -308,11 +310,11 @@ impl Default for OpenBlock {
 impl OpenBlock {
     pub(super) fn clear(&mut self) {
         self.num_layers = 0;
-        self.last = [0.0; BLOCK_LISTS];
-        self.kappa = [1.0; BLOCK_LISTS];
+        self.last = [0; BLOCK_LISTS];
+        self.kappa = [UNIT - 1; BLOCK_LISTS];
     }
 
-    /// Appends a cell to each list of the mask, between the planes. It begins no earlier than the previous cell ends,
+    /// Appends a cell to each list of the mask, between the planes. `opacities` are in units of [`UNIT`]. A cell begins no earlier than the previous cell ends,
     /// and is at least [`LEAST_LENGTH`] long. A list without room gets none.
     pub(super) fn push(
         &mut self,
@@ -320,7 +322,7 @@ impl OpenBlock {
         mask: u64,
         u: &[u16; BLOCK_LISTS],
         ycc: &[[i16; BLOCK_LISTS]; 3],
-        alphas: &[f32; BLOCK_LISTS],
+        opacities: &[i32; BLOCK_LISTS],
     ) {
         let Some((cells_mask, cells)) = self.layers.get_mut(self.num_layers) else { return };
         let [_, _, of_u, of_ycc @ ..] = cells;
@@ -330,7 +332,7 @@ impl OpenBlock {
                 *to = *from as u16;
             }
         }
-        *cells_mask = place(cells, planes, mask, alphas, &mut self.last, &mut self.kappa);
+        *cells_mask = place(cells, planes, mask, opacities, &mut self.last, &mut self.kappa);
         self.num_layers += 1;
     }
 }
@@ -341,9 +343,9 @@ wide! {
         cells: &mut CellPlanes,
         planes: &Planes,
         mask: u64,
-        alphas: &[f32; BLOCK_LISTS],
-        last: &mut [f32; BLOCK_LISTS],
-        kappa: &mut [f32; BLOCK_LISTS],
+        opacities: &[i32; BLOCK_LISTS],
+        last: &mut [i32; BLOCK_LISTS],
+        kappa: &mut [i32; BLOCK_LISTS],
     ) -> u64 = place_any;
 }
 
@@ -352,34 +354,26 @@ fn place_any(
     cells: &mut CellPlanes,
     planes: &Planes,
     mask: u64,
-    alphas: &[f32; BLOCK_LISTS],
-    last: &mut [f32; BLOCK_LISTS],
-    kappa: &mut [f32; BLOCK_LISTS],
+    opacities: &[i32; BLOCK_LISTS],
+    last: &mut [i32; BLOCK_LISTS],
+    kappa: &mut [i32; BLOCK_LISTS],
 ) -> u64 {
     let mut fits = [false; BLOCK_LISTS];
+    let units = |depth: i32, most: i32| {
+        (depth.min(most * SIXTEENTHS) + SIXTEENTHS / 2) >> SIXTEENTHS.trailing_zeros()
+    };
     for i in 0..BLOCK_LISTS {
-        let front = whole(lesser(greater(planes.0.at(i), last[i]), MAX_FRONT) + 0.5);
-        let after = front as i32 as f32;
-        let back = whole(lesser(greater(planes.1.at(i), after + LEAST_LENGTH), MAX_BACK) + 0.5);
+        let at = [quarters_from_middle(i % BLOCK), quarters_from_middle(i / BLOCK)];
+        let front = units(planes.0.at(at).max(last[i] * SIXTEENTHS), MAX_FRONT);
+        let back = units(planes.1.at(at).max((front + LEAST_LENGTH) * SIXTEENTHS), MAX_BACK);
         // The previous cell may end so deep that none fits behind it.
-        fits[i] = (mask >> i & 1 == 1) & (back > front) & (after >= last[i]);
+        fits[i] = (mask >> i & 1 == 1) & (back > front) & (front >= last[i]);
         cells[0][i] = front as u16;
         cells[1][i] = back as u16;
-        last[i] = if fits[i] { back as i32 as f32 } else { last[i] };
-        kappa[i] *= if fits[i] { 1.0 - alphas[i] } else { 1.0 };
+        last[i] = if fits[i] { back } else { last[i] };
+        kappa[i] = behind(kappa[i], if fits[i] { opacities[i] } else { 0 });
     }
     fits.iter().enumerate().fold(0, |mask, (i, fits)| mask | u64::from(*fits) << i)
-}
-
-/// Uses the processor's instruction, which ignores NaN.
-#[inline(always)]
-pub(super) fn greater(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
-
-#[inline(always)]
-pub(super) fn lesser(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
 }
 
 /// Mask of the first list of each row of a block.
@@ -394,9 +388,9 @@ const BYTES_OF_LAYER: usize = 24;
 const BYTES_OF_MATTER: usize = 128;
 const BYTES_OF_CELL: usize = 12;
 /// Least length of a cell, depth units.
-const LEAST_LENGTH: f32 = 16.0;
-const MAX_FRONT: f32 = 65500.0;
-const MAX_BACK: f32 = 65535.0;
+const LEAST_LENGTH: i32 = 16;
+const MAX_FRONT: i32 = 65500;
+const MAX_BACK: i32 = 65535;
 
 #[cfg(test)]
 impl FrameTile {
@@ -412,7 +406,7 @@ mod tests {
 
     const PLACE: TilePlace = TilePlace { first: [0; 2], across: 2, num_rows: 2, size: [16, 16] };
     const PLANES: Planes =
-        (DepthPlane { z: 3000.0, dx: 5.0, dy: -4.0 }, DepthPlane { z: 5000.0, dx: 5.0, dy: 7.0 });
+        (DepthPlane { z: 48_000, dx: 80, dy: -64 }, DepthPlane { z: 80_000, dx: 80, dy: 112 });
     /// All lists, none, one, a row, two in rows that do not touch.
     const MASKS: [u64; 5] = [u64::MAX, 0, 1 << 29, 0xff00, 1 << 63 | 2];
 
@@ -428,7 +422,7 @@ mod tests {
                 tile.planes.push(moved(n));
                 let value = |i: usize| 1 + (100 * n + i) as u16;
                 let ycc = [0, 1, 2].map(|c| std::array::from_fn(|i| -(value(i) as i16) * (c + 1)));
-                lists.push(&moved(n), mask, &std::array::from_fn(value), &ycc, &[0.5; BLOCK_LISTS]);
+                lists.push(&moved(n), mask, &std::array::from_fn(value), &ycc, &[UNIT / 2; BLOCK_LISTS]);
             }
             tile.push(first_plane, &mut lists);
         }
@@ -436,7 +430,7 @@ mod tests {
     }
 
     fn moved(n: usize) -> Planes {
-        let deeper = |plane: DepthPlane| DepthPlane { z: plane.z + 4000.0 * n as f32, ..plane };
+        let deeper = |plane: DepthPlane| DepthPlane { z: plane.z + 64_000 * n as i32, ..plane };
         (deeper(PLANES.0), deeper(PLANES.1))
     }
 
@@ -476,7 +470,7 @@ mod tests {
                         (u[i], y[i] as i16, co[i] as i16, cg[i] as i16),
                         (value, -(value as i16), -2 * value as i16, -3 * value as i16)
                     );
-                    let at = |plane: DepthPlane| if there { (plane.at(i) + 0.5) as u16 } else { 0 };
+                    let at = |plane: DepthPlane| if there { (plane.fit().at(i) + 0.5) as u16 } else { 0 };
                     assert_eq!([front[i], back[i]], [at(moved(n).0), at(moved(n).1)]);
                 }
             }

@@ -133,10 +133,14 @@ fn words_of([front, back, u, y, co, cg]: &CellPlanes) -> [[u32; BLOCK_LISTS]; 3]
     let mut words = [[0; BLOCK_LISTS]; 3];
     let [depth, rg, b_tau] = &mut words;
     for i in 0..BLOCK_LISTS {
-        let [r, g, b] = roots([y[i] as i16, co[i] as i16, cg[i] as i16]).map(|root| root * root * alpha[i]);
+        let roots = roots([y[i] as i16, co[i] as i16, cg[i] as i16]);
+        let [r, g, b] = roots.map(|root| (root * root) as f32 * (ONE_SQUARED * alpha[i]));
         depth[i] = u32::from(front[i]) | u32::from(back[i]) << 16;
         rg[i] = pack_halves(r, g);
         b_tau[i] = pack_halves(b, 0.0) | tau[i] << 16;
     }
     words
 }
+
+/// A root is in units of 1/8192.
+const ONE_SQUARED: f32 = 1.0 / (1 << 26) as f32;

@@ -1,14 +1,15 @@
 //! The 8×8 cosine transform of a block's plane, and the values of a plane where there is no matter.
 //!
-//! It consists of sums and products of `f32` in a fixed order, so every machine computes the same bits.
+//! An encoder transforms in single precision. What a decoder inverts are integers.
 
 use super::model::{BLOCK, BLOCK_LISTS};
 
-/// Values of a block's lists, row by row.
+/// Values of a block's lists, row by row, of an encoder.
 pub(super) type BlockPlane = [f32; BLOCK_LISTS];
 
-/// Values of a row or a column.
-pub(super) type Line8 = [f32; BLOCK];
+/// Values of a block's lists, row by row, that a decoder has. Products and sums wrap around, so that damaged bytes have
+/// a result too.
+pub(super) type BlockNumbers = [i32; BLOCK_LISTS];
 
 wide! {
     /// The orthonormal transform. Frequencies are row by row, with horizontal ones along a row.
@@ -16,8 +17,8 @@ wide! {
 }
 
 wide! {
-    /// Inverse of [`forward`].
-    pub(super) fn inverse(coefficients: &BlockPlane) -> BlockPlane = inverse_any;
+    /// Inverse of [`forward`]. Each of two passes rounds to whole numbers.
+    pub(super) fn inverse(coefficients: &BlockNumbers) -> BlockNumbers = inverse_any;
 }
 
 wide! {
@@ -44,22 +45,22 @@ fn forward_any(values: &BlockPlane) -> BlockPlane {
 }
 
 #[inline(always)]
-fn inverse_any(coefficients: &BlockPlane) -> BlockPlane {
-    let mut rows = [[0.0; BLOCK]; BLOCK];
+fn inverse_any(coefficients: &BlockNumbers) -> BlockNumbers {
+    let mut rows = [[HALF; BLOCK]; BLOCK];
     for (frequency, coefficients) in coefficients.as_chunks::<BLOCK>().0.iter().enumerate() {
-        if coefficients.iter().any(|&c| c != 0.0) {
+        if coefficients.iter().any(|&c| c != 0) {
             for (y, row) in rows.iter_mut().enumerate() {
-                add_scaled(row, coefficients, BASIS[frequency][y]);
+                add_product(row, coefficients, WAVES[frequency][y]);
             }
         }
     }
-    let mut out = [0.0; BLOCK_LISTS];
+    let mut out = [HALF; BLOCK_LISTS];
     for (out, row) in out.as_chunks_mut::<BLOCK>().0.iter_mut().zip(&rows) {
         for (frequency, &coefficient) in row.iter().enumerate() {
-            add_scaled(out, &BASIS[frequency], coefficient);
+            add_product(out, &WAVES[frequency], coefficient >> WAVE_BITS);
         }
     }
-    out
+    out.map(|value| value >> WAVE_BITS)
 }
 
 #[inline(always)]
@@ -102,6 +103,13 @@ fn add_scaled(to: &mut [f32; BLOCK], what: &[f32; BLOCK], by: f32) {
     }
 }
 
+#[inline(always)]
+fn add_product(to: &mut [i32; BLOCK], what: &[i32; BLOCK], by: i32) {
+    for (to, what) in to.iter_mut().zip(what) {
+        *to = to.wrapping_add(what.wrapping_mul(by));
+    }
+}
+
 /// Places of coefficients in coding order: along the diagonals from the constant one.
 pub(super) const ZIGZAG: [u8; BLOCK_LISTS] = {
     let mut order = [0; BLOCK_LISTS];
@@ -136,6 +144,20 @@ const BASIS: [[f32; BLOCK]; BLOCK] = {
     }
     basis
 };
+
+/// [`BASIS`] in units of 2⁻¹².
+pub(super) const WAVES: [[i32; BLOCK]; BLOCK] = {
+    let mut waves = [[0; BLOCK]; BLOCK];
+    let mut i = 0;
+    while i < BLOCK_LISTS {
+        let wave = BASIS[i / BLOCK][i % BLOCK] * (1 << WAVE_BITS) as f32;
+        waves[i / BLOCK][i % BLOCK] = (wave + if wave < 0.0 { -0.5 } else { 0.5 }) as i32;
+        i += 1;
+    }
+    waves
+};
+const WAVE_BITS: u32 = 12;
+const HALF: i32 = 1 << (WAVE_BITS - 1);
 
 const TRANSPOSED: [[f32; BLOCK]; BLOCK] = {
     let mut transposed = [[0.0; BLOCK]; BLOCK];
@@ -176,6 +198,7 @@ const SWEEPS: usize = 12;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simd::tests::with_each;
 
     fn noise() -> BlockPlane {
         std::array::from_fn(|i| ((i * 37 + 11) % 64) as f32 / 64.0 - (i % 7) as f32 / 10.0)
@@ -188,13 +211,26 @@ mod tests {
         let energy = |p: &BlockPlane| p.iter().map(|v| v * v).sum::<f32>();
         // 64 terms, each rounded at 2⁻²⁴ some sixteen times.
         assert!((energy(&values) - energy(&coefficients)).abs() < 1e-4 * energy(&values));
-        for (a, b) in values.iter().zip(inverse(&coefficients)) {
-            assert!((a - b).abs() < 1e-5, "{a} {b}");
+        let numbers = |scale: f32| coefficients.map(|c| (c * scale).round() as i32);
+        for (a, b) in values.iter().zip(inverse(&numbers(4096.0))) {
+            // Waves are off by up to 2⁻¹³, coefficients and both passes by half a number.
+            assert!((a - b as f32 / 4096.0).abs() < 1e-3, "{a} {b}");
         }
         assert!((coefficients[0] / 8.0 - values.iter().sum::<f32>() / 64.0).abs() < 1e-5);
         let mut other = coefficients;
         other[9] += 0.1;
-        assert!(inverse(&other).iter().zip(&values).any(|(a, b)| (a - b).abs() > 1e-3));
+        let other = inverse(&other.map(|c| (c * 4096.0).round() as i32));
+        assert!(other.iter().zip(&values).any(|(a, b)| (*a as f32 / 4096.0 - b).abs() > 1e-2));
+    }
+
+    #[test]
+    fn wider_instructions_invert_alike_and_any_number_has_a_result() {
+        for scale in [1.0, 3000.0, 1e9] {
+            let coefficients: BlockNumbers = noise().map(|c| (c * scale) as i32);
+            let [portable, avx2, avx512] = with_each(|| inverse(&coefficients));
+            assert_eq!([avx2, avx512], [portable; 2]);
+        }
+        assert_ne!(inverse(&[i32::MAX; BLOCK_LISTS]), [0; BLOCK_LISTS]);
     }
 
     #[test]

@@ -3,10 +3,9 @@
 use std::ops::Range;
 
 use super::super::entropy::Coder;
-use super::super::model::{BLOCK, DepthPlane, MAX_LAYERS};
+use super::super::model::{DepthPlane, MAX_LAYERS, PlaneFit, SIXTEENTHS};
 use super::super::steps::StepSizes;
 use super::super::syntax::{DEPTH_CONTEXTS, count_class};
-use super::super::tile::Planes;
 use super::TileCoder;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -32,12 +31,13 @@ impl<C: Coder> TileCoder<'_, C> {
             let front = match last_back {
                 Some(back) if touches => back,
                 _ => {
-                    let behind =
-                        last_back.map_or(f32::NEG_INFINITY, |b| (b.z as f32 - 0.5) * self.steps.depth);
+                    let behind = last_back.map_or(i32::MIN, |back| {
+                        self.steps.plane(back).z - i32::from(self.steps.depth) * SIXTEENTHS / 2
+                    });
                     self.plane(wanted_front, behind, 0, PlaneCode::default(), &neighbors)
                 }
             };
-            let behind = front.z as f32 * self.steps.depth;
+            let behind = self.steps.plane(front).z;
             let back = self.plane(wanted_back, behind, 1, front, &neighbors);
             self.tile.planes.push((self.steps.plane(front), self.steps.plane(back)));
             last_back = Some(back);
@@ -48,33 +48,32 @@ impl<C: Coder> TileCoder<'_, C> {
     fn plane(
         &mut self,
         wanted: PlaneCode,
-        behind: f32,
+        behind: i32,
         side: usize,
         otherwise: PlaneCode,
         neighbors: &[Range<usize>; 2],
     ) -> PlaneCode {
         let front = (side == 1).then(|| self.steps.plane(otherwise));
-        let next = [(0, (1.0, 0.0)), (1, (0.0, 1.0))].map(|(neighbor, step)| {
+        let next = [(0, [1, 0]), (1, [0, 1])].map(|(neighbor, step)| {
             let planes = self.tile.planes[neighbors[neighbor].clone()].iter().map(|(f, b)| {
-                let (f, b) = (continued(f, step), continued(b, step));
+                let (f, b) = (f.continued(step), b.continued(step));
                 match &front {
                     None => f,
                     // Half-way between the neighbour's back and one that makes the layer as thick as the neighbour's.
                     Some(own) => DepthPlane {
-                        z: b.z + 0.5 * (own.z - f.z),
-                        dx: b.dx + 0.5 * (own.dx - f.dx),
-                        dy: b.dy + 0.5 * (own.dy - f.dy),
+                        z: b.z + ((own.z - f.z) >> 1),
+                        dx: b.dx + ((own.dx - f.dx) >> 1),
+                        dy: b.dy + ((own.dy - f.dy) >> 1),
                     },
                 }
             });
-            planes.filter(|p| p.z > behind).min_by(|a, b| a.z.total_cmp(&b.z))
+            planes.filter(|p| p.z > behind).min_by_key(|p| p.z)
         });
         let (expected, context) = match next {
             [Some(a), Some(b)] => {
-                let apart = ((a.z - b.z).abs() / self.steps.depth) as u32;
+                let apart = (a.z - b.z).unsigned_abs() / (u32::from(self.steps.depth) * SIXTEENTHS as u32);
                 let nearer = if a.z < b.z { a } else { b };
-                let mean =
-                    DepthPlane { z: 0.5 * (a.z + b.z), dx: 0.5 * (a.dx + b.dx), dy: 0.5 * (a.dy + b.dy) };
+                let mean = DepthPlane { z: (a.z + b.z) >> 1, dx: (a.dx + b.dx) >> 1, dy: (a.dy + b.dy) >> 1 };
                 let context = (apart.saturating_add(1).ilog2() as usize + usize::from(apart > 0))
                     .min(DEPTH_CONTEXTS - 3);
                 (self.steps.code(&if apart < 4 { mean } else { nearer }), context)
@@ -94,45 +93,40 @@ impl<C: Coder> TileCoder<'_, C> {
     }
 }
 
-/// A plane continued by `step` blocks rightwards and downwards.
-pub(super) fn continued(p: &DepthPlane, step: (f32, f32)) -> DepthPlane {
-    bounded(p.z + BLOCK as f32 * (step.0 * p.dx + step.1 * p.dy), p.dx, p.dy)
-}
-
-/// A plane with bounded numbers, so that all later results are finite.
-pub(super) fn bounded(z: f32, dx: f32, dy: f32) -> DepthPlane {
-    let slope = |s: f32| s.clamp(-MAX_SLOPE, MAX_SLOPE);
-    DepthPlane { z: z.clamp(-MAX_DEPTH, MAX_DEPTH), dx: slope(dx), dy: slope(dy) }
-}
-
 impl StepSizes {
+    /// Steps of depth and of slope, sixteenths of a unit.
+    fn of_planes(&self) -> [i32; 2] {
+        let depth = i32::from(self.depth);
+        [depth * SIXTEENTHS, depth * SIXTEENTHS / 4]
+    }
+
     /// The plane of a code.
     fn plane(&self, code: PlaneCode) -> DepthPlane {
-        let slope = self.depth * 0.25;
-        bounded(code.z as f32 * self.depth, code.dx as f32 * slope, code.dy as f32 * slope)
+        let [depth, slope] = self.of_planes();
+        // Beyond this, a product would be beyond the bounds of a plane.
+        let times = |code: i32, step: i32| code.clamp(-MOST / step, MOST / step) * step;
+        DepthPlane::bounded(times(code.z, depth), times(code.dx, slope), times(code.dy, slope))
     }
 
     /// The code of the nearest plane.
-    pub(in crate::codec::blocks) fn code(&self, plane: &DepthPlane) -> PlaneCode {
-        // `floor` would be a function call on machines without an instruction for it.
-        let nearest = |v: f32, step: f32| {
-            let (code, whole) = (v / step + 0.5, (v / step + 0.5) as i32);
-            whole - i32::from(whole as f32 > code)
-        };
-        let slope = self.depth * 0.25;
-        PlaneCode {
-            z: nearest(plane.z, self.depth),
-            dx: nearest(plane.dx, slope),
-            dy: nearest(plane.dy, slope),
-        }
+    fn code(&self, plane: &DepthPlane) -> PlaneCode {
+        let nearest = |v: i32, step: i32| (v + step / 2).div_euclid(step);
+        let [depth, slope] = self.of_planes();
+        PlaneCode { z: nearest(plane.z, depth), dx: nearest(plane.dx, slope), dy: nearest(plane.dy, slope) }
     }
 
     /// The codes of planes. A front that nearly touches the back before it is that back, and every back is behind its
     /// front.
-    pub(in crate::codec::blocks) fn codes(&self, planes: &[Planes], out: &mut Vec<(PlaneCode, PlaneCode)>) {
+    pub(in crate::codec::blocks) fn codes(
+        &self,
+        planes: &[(PlaneFit, PlaneFit)],
+        out: &mut Vec<(PlaneCode, PlaneCode)>,
+    ) {
+        let number = |v: f32| (v * SIXTEENTHS as f32).round() as i32;
+        let code = |p: &PlaneFit| self.code(&DepthPlane::bounded(number(p.z), number(p.dx), number(p.dy)));
         out.clear();
         for (front, back) in planes {
-            let (mut front, mut back) = (self.code(front), self.code(back));
+            let (mut front, mut back) = (code(front), code(back));
             if let Some((_, before)) = out.last()
                 && front.z <= before.z + 1
             {
@@ -144,11 +138,15 @@ impl StepSizes {
     }
 
     /// The planes that a decoder makes of the codes.
-    pub(in crate::codec::blocks) fn planes(&self, codes: &[(PlaneCode, PlaneCode)], out: &mut Vec<Planes>) {
+    pub(in crate::codec::blocks) fn planes(
+        &self,
+        codes: &[(PlaneCode, PlaneCode)],
+        out: &mut Vec<(PlaneFit, PlaneFit)>,
+    ) {
         out.clear();
-        out.extend(codes.iter().map(|(front, back)| (self.plane(*front), self.plane(*back))));
+        out.extend(codes.iter().map(|(front, back)| (self.plane(*front).fit(), self.plane(*back).fit())));
     }
 }
 
-const MAX_DEPTH: f32 = 1e7;
-const MAX_SLOPE: f32 = 1e6;
+/// Greater than every number of a plane.
+const MOST: i32 = 1 << 24;

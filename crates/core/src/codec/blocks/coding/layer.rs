@@ -3,13 +3,13 @@
 use std::ops::Range;
 
 use super::super::entropy::Coder;
-use super::super::model::{BLOCK, BLOCK_LISTS, BlockLayer, lists_of};
-use super::super::reference::{HALF, fetch};
-use super::super::residual::{Expected, fixed_of, residual};
-use super::super::scales::{scales, ycc_from_roots};
+use super::super::fetch::fetch;
+use super::super::model::{BLOCK_LISTS, BlockLayer, lists_of, middle_of};
+use super::super::residual::{Expected, residual, stored_of};
+use super::super::scales::{FINE, code_from_quarters, scales, seen, ycc_from_roots};
 use super::super::syntax::NO_CLASS;
 use super::super::tile::Planes;
-use super::super::transform::BlockPlane;
+use super::super::transform::{BlockNumbers, BlockPlane};
 use super::{Origin, TileCoder};
 use crate::kernels::raycast::opacity;
 
@@ -26,7 +26,7 @@ pub(super) struct BlockContext {
 /// What later blocks and layers use of a layer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CodedLayer {
-    pub(super) means: [f32; 4],
+    pub(super) means: [i32; 4],
     pub(super) classes: [u8; 4],
     /// Mask of the lists with matter.
     pub(super) mask: u64,
@@ -34,7 +34,7 @@ pub(super) struct CodedLayer {
 
 impl CodedLayer {
     /// A layer without matter, which passes on these means.
-    pub(super) fn without_matter(means: [f32; 4]) -> Self {
+    pub(super) fn without_matter(means: [i32; 4]) -> Self {
         Self { means, classes: [0; 4], mask: 0 }
     }
 }
@@ -65,7 +65,7 @@ impl<C: Coder> TileCoder<'_, C> {
             Origin::Left | Origin::Above => 1,
             Origin::Kept | Origin::Copied => 2,
         };
-        let means_in_front = in_front.map_or([0.0; 4], |l| l.means);
+        let means_in_front = in_front.map_or([0; 4], |l| l.means);
         if !self.coder.bit(self.contexts.has_matter[kind][likely], wanted_mask != 0) {
             return CodedLayer::without_matter(means_in_front);
         }
@@ -84,8 +84,8 @@ impl<C: Coder> TileCoder<'_, C> {
         }
         *mask_before = Some(mask);
 
-        let means: [f32; 4] = std::array::from_fn(|c| match matches {
-            [Some(a), Some(b)] => 0.5 * (a.means[c] + b.means[c]),
+        let means: [i32; 4] = std::array::from_fn(|c| match matches {
+            [Some(a), Some(b)] => a.means[c].wrapping_add(b.means[c]) >> 1,
             [Some(a), None] | [None, Some(a)] => a.means[c],
             [None, None] => means_in_front[c],
         });
@@ -102,33 +102,24 @@ impl<C: Coder> TileCoder<'_, C> {
         // A choice between the two costs more than it saves.
         let is_inter = 2 * known > mask.count_ones();
 
-        let scales = scales();
-        let lists = || lists_of(mask);
-        let num_lists = mask.count_ones() as f32;
-        let kappa = lists().map(|i| self.scratch.lists.kappa[i]).sum::<f32>() / num_lists;
         let mut coded = CodedLayer { means, classes: [0; 4], mask };
         if is_inter {
-            let [u, y, co, cg] = &self.scratch.fetched.planes;
-            let mut sums = [0.0; 4];
-            for (((u, y), co), cg) in u.iter().zip(y).zip(co).zip(cg) {
-                for (sum, value) in sums.iter_mut().zip([u, y, co, cg]) {
-                    *sum += value;
-                }
-            }
-            coded.means = sums.map(|sum| sum * (1.0 / BLOCK_LISTS as f32));
+            let sum = |plane: &BlockNumbers| plane.iter().sum::<i32>();
+            coded.means = self.scratch.fetched.planes.each_ref().map(|plane| sum(plane) / BLOCK_LISTS as i32);
         }
-        let mut step = self.steps.opacity / kappa.max(KAPPA_FLOOR).sqrt();
-        let mut values = [[0.0; BLOCK_LISTS]; 4];
-        let mut codes = [0; BLOCK_LISTS];
-        let mut alphas = [0.0; BLOCK_LISTS];
+        let kappa = &self.scratch.lists.kappa;
+        // The mean over the lists with matter.
+        let mean = |of: &dyn Fn(usize) -> i32| lists_of(mask).map(of).sum::<i32>() / mask.count_ones() as i32;
+        let mut step = scales().per_root(self.steps.opacity, mean(&|i| kappa[i]).max(KAPPA_FLOOR));
+        let mut values = [[0; BLOCK_LISTS]; 4];
+        let (mut codes, mut opacities) = ([0; BLOCK_LISTS], [0; BLOCK_LISTS]);
         for c in 0..4 {
             if c == 1 {
                 // The decoded opacities tell how visible a colour is.
-                let seen = |i: usize| self.scratch.lists.kappa[i].max(KAPPA_FLOOR) * alphas[i];
-                let seen = lists().map(seen).sum::<f32>() / num_lists;
-                step = self.steps.color / seen.max(SEEN_FLOOR).sqrt();
+                let visible = mean(&|i| seen(kappa[i].max(KAPPA_FLOOR), opacities[i]));
+                step = scales().per_root(self.steps.color, visible.max(SEEN_FLOOR));
             } else if c == 2 {
-                step *= self.steps.chroma;
+                step = self.steps.of_chroma(step);
             }
             let component = [0, 1, 2, 2][c] + if is_inter { 4 } else { 0 };
             let source = sources.as_ref().map(|s| &s[c]);
@@ -148,17 +139,17 @@ impl<C: Coder> TileCoder<'_, C> {
                 &mut values[c],
             );
             coded.classes[c] = class;
-            coded.means[c] += mean;
+            coded.means[c] = coded.means[c].wrapping_add(mean);
             if c == 0 {
-                codes_of(&values[0], &mut codes);
-                alphas = codes.map(|code| scales.alpha[usize::from(code)]);
+                codes = values[0].map(code_from_quarters);
+                opacities = codes.map(|code| scales().opacity(code));
             }
         }
         let mut ycc = [[0; BLOCK_LISTS]; 3];
-        for (c, range) in [[0.0, MAX_BRIGHTNESS], [-1.0, 1.0], [-1.0, 1.0]].into_iter().enumerate() {
-            fixed_of(&values[c + 1], range, &mut ycc[c]);
+        for (c, range) in [[0, MAX_BRIGHTNESS], [-ONE, ONE], [-ONE, ONE]].into_iter().enumerate() {
+            stored_of(&values[c + 1], range, &mut ycc[c]);
         }
-        self.scratch.lists.push(&planes, mask, &codes, &ycc, &alphas);
+        self.scratch.lists.push(&planes, mask, &codes, &ycc, &opacities);
         coded
     }
 
@@ -166,9 +157,8 @@ impl<C: Coder> TileCoder<'_, C> {
     fn fetch(&mut self, (x, y): (usize, usize), planes: &Planes) -> Option<u64> {
         let (reference, motion) = self.reference.as_ref()?;
         let [x, y] = self.place.in_frame(x, y);
-        let [mx, my] = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
-        let shift = motion.at(mx, my, 0.5 * (planes.0.z + planes.1.z))?;
-        fetch(&mut self.scratch.fetched, reference, (x, y), planes, shift, self.steps.depth);
+        let shift = motion.at(middle_of([x, y].map(|v| v as i32)), (planes.0.z + planes.1.z) >> 1)?;
+        fetch(&mut self.scratch.fetched, reference, [x, y], planes, shift, self.steps.depth);
         Some(self.scratch.fetched.mask)
     }
 
@@ -178,28 +168,14 @@ impl<C: Coder> TileCoder<'_, C> {
             let (front, back) = self.tile.planes[l];
             back.z.min(planes.1.z) - front.z.max(planes.0.z)
         };
-        let best =
-            layers.map(|l| (common(l), l)).filter(|(c, _)| *c > 0.0).max_by(|a, b| a.0.total_cmp(&b.0));
+        let best = layers.map(|l| (common(l), l)).filter(|(c, _)| *c > 0).max_by_key(|(common, _)| *common);
         best.map(|(_, l)| l)
     }
 }
 
 wide! {
-    /// Codes of opacities.
-    fn codes_of(values: &BlockPlane, codes: &mut [u16; BLOCK_LISTS]) = codes_of_any;
-}
-
-wide! {
-    /// u, Y, Co, Cg of a layer's lists. Values outside of `mask` mean nothing.
+    /// u, Y, Co, Cg of a layer's lists, in the numbers of [`residual`]. Values outside of `mask` mean nothing.
     fn planes_of(layer: &BlockLayer, mask: u64) -> [BlockPlane; 4] = planes_of_any;
-}
-
-#[inline(always)]
-fn codes_of_any(values: &BlockPlane, codes: &mut [u16; BLOCK_LISTS]) {
-    let scales = scales();
-    for (code, u) in codes.iter_mut().zip(values) {
-        *code = scales.code(*u);
-    }
 }
 
 #[inline(always)]
@@ -208,7 +184,7 @@ fn planes_of_any(layer: &BlockLayer, mask: u64) -> [BlockPlane; 4] {
     let [u, y, co, cg] = &mut planes;
     for i in 0..BLOCK_LISTS {
         let per_alpha = 1.0 / opacity(layer.tau[i]).max(LEAST_ALPHA);
-        let roots = layer.c[i].to_array().map(|c| (c * per_alpha).clamp(0.0, MAX_COLOR).sqrt());
+        let roots = layer.c[i].to_array().map(|c| (c * per_alpha).clamp(0.0, MAX_COLOR).sqrt() * FINE);
         [y[i], co[i], cg[i]] = ycc_from_roots(roots);
     }
     let scales = scales();
@@ -222,8 +198,10 @@ fn planes_of_any(layer: &BlockLayer, mask: u64) -> [BlockPlane; 4] {
 const MAX_COLOR: f32 = 2.25;
 /// Below this opacity there is no colour.
 const LEAST_ALPHA: f32 = 1e-4;
-/// Least visibility for the steps: what is hidden here is visible from another pose.
-const KAPPA_FLOOR: f32 = 0.2;
-/// Least visible opacity for the steps of colour.
-const SEEN_FLOOR: f32 = 0.02;
-const MAX_BRIGHTNESS: f32 = 1.5;
+/// Least visibility for the steps, .2: what is hidden here is visible from another pose. Units of 2⁻¹⁶.
+const KAPPA_FLOOR: i32 = 13_107;
+/// Least visible opacity for the steps of colour, .02.
+const SEEN_FLOOR: i32 = 1311;
+/// A colour difference of 1, and a brightness of 1.5.
+const ONE: i32 = FINE as i32;
+const MAX_BRIGHTNESS: i32 = ONE + ONE / 2;

@@ -6,13 +6,13 @@ mod layer;
 
 use super::super::error::CodecError;
 use super::entropy::Coder;
-use super::model::{BLOCK, BlockLayer, DepthPlane, TilePlace};
-use super::motion::{ReferenceMotion, Shift};
-use super::reference::{Fetched, HALF, Reference};
+use super::fetch::Fetched;
+use super::model::{BlockLayer, DepthPlane, PlaneFit, TilePlace, middle_of};
+use super::motion::ReferenceMotion;
+use super::reference::Reference;
 use super::steps::StepSizes;
 use super::syntax::Contexts;
 use super::tile::{FrameTile, OpenBlock, Planes};
-use depth::{bounded, continued};
 use layer::{BlockContext, CodedLayer};
 
 pub(super) use depth::PlaneCode;
@@ -43,24 +43,21 @@ pub(super) struct Plan {
     pub(super) layers: Vec<BlockLayer>,
 }
 
+/// Writes the planes of an origin and returns whether there are any.
+pub(super) type Offered<'a> = dyn Fn(Origin, &mut Vec<(PlaneFit, PlaneFit)>) -> bool + 'a;
+
 /// Provides the plans of blocks.
 pub(super) trait BlockSource {
     /// Plans the block at (`x`, `y`) of the tile. `offered` writes the planes of an origin and returns whether there
     /// are any.
-    fn plan(
-        &mut self,
-        x: usize,
-        y: usize,
-        offered: &dyn Fn(Origin, &mut Vec<Planes>) -> bool,
-        plan: &mut Plan,
-    );
+    fn plan(&mut self, x: usize, y: usize, offered: &Offered<'_>, plan: &mut Plan);
 }
 
 /// The source of a decoder.
 pub(super) struct NoSource;
 
 impl BlockSource for NoSource {
-    fn plan(&mut self, _: usize, _: usize, _: &dyn Fn(Origin, &mut Vec<Planes>) -> bool, _: &mut Plan) {}
+    fn plan(&mut self, _: usize, _: usize, _: &Offered<'_>, _: &mut Plan) {}
 }
 
 /// Codes a tile.
@@ -145,12 +142,12 @@ impl<'a, C: Coder> TileCoder<'a, C> {
         let mut offer = |block: Option<usize>, step| {
             let Some(block) = block else { return };
             let planes = self.tile.planes[self.tile.layers(block)].iter();
-            out.extend(planes.map(|(f, b)| (continued(f, step), continued(b, step))));
+            out.extend(planes.map(|(f, b)| (f.continued(step), b.continued(step))));
         };
         match origin {
             Origin::Fresh | Origin::Copied => {}
-            Origin::Left => offer(self.left(x), (1.0, 0.0)),
-            Origin::Above => offer(self.above(y), (0.0, 1.0)),
+            Origin::Left => offer(self.left(x), [1, 0]),
+            Origin::Above => offer(self.above(y), [0, 1]),
             Origin::Kept => self.kept(x, y, out),
         }
         !out.is_empty()
@@ -160,22 +157,32 @@ impl<'a, C: Coder> TileCoder<'a, C> {
     fn kept(&self, x: usize, y: usize, out: &mut Vec<Planes>) {
         let Some((reference, motion)) = &self.reference else { return };
         let [x, y] = self.place.in_frame(x, y);
-        let Some(to) = reference.moved_to(motion, x, y) else { return };
+        let Some(to) = reference.moved_to(motion, [x, y]) else { return };
         let Some((tile, block)) = reference.block(to[0], to[1]) else { return };
-        let middle = [x, y].map(|v| (v * BLOCK) as f32 + HALF);
-        let theirs = to.map(|v| v as f32 * BLOCK as f32 + HALF);
+        let middle = middle_of([x, y].map(|v| v as i32));
+        let theirs = middle_of(to);
         let moved = |p: &DepthPlane| {
-            let shift = motion.at(middle[0], middle[1], p.z).unwrap_or(Shift { x: 0.0, y: 0.0, z: 0.0 });
-            let dx = middle[0] + shift.x - theirs[0];
-            let dy = middle[1] + shift.y - theirs[1];
-            bounded(p.z + p.dx * dx + p.dy * dy - shift.z, p.dx, p.dy)
+            let shift = motion.at(middle, p.z).unwrap_or_default();
+            let dx = 64 * (middle[0] - theirs[0]) + shift.x;
+            let dy = 64 * (middle[1] - theirs[1]) + shift.y;
+            let across = p.dx.wrapping_mul(dx).wrapping_add(p.dy.wrapping_mul(dy)) >> 6;
+            DepthPlane::bounded(p.z.wrapping_add(across).wrapping_sub(shift.z), p.dx, p.dy)
         };
         out.extend(tile.planes[tile.layers(block)].iter().map(|(f, b)| (moved(f), moved(b))));
     }
 
     fn block(&mut self, x: usize, y: usize, source: &mut impl BlockSource, plan: &mut Plan) {
         if C::ENCODES {
-            source.plan(x, y, &|origin, out| self.offer(origin, x, y, out), plan);
+            let planes = std::cell::RefCell::new(std::mem::take(&mut self.scratch.offered));
+            let offered = |origin: Origin, out: &mut Vec<(PlaneFit, PlaneFit)>| {
+                let planes = &mut *planes.borrow_mut();
+                let has_any = self.offer(origin, x, y, planes);
+                out.clear();
+                out.extend(planes.iter().map(|(front, back)| (front.fit(), back.fit())));
+                has_any
+            };
+            source.plan(x, y, &offered, plan);
+            self.scratch.offered = planes.into_inner();
         }
         if self.copied(x, y, plan) {
             return;
@@ -230,7 +237,7 @@ impl<'a, C: Coder> TileCoder<'a, C> {
             return false;
         }
         self.tile.copy(tile, block);
-        self.layers.resize(self.tile.planes.len(), CodedLayer::without_matter([0.0; 4]));
+        self.layers.resize(self.tile.planes.len(), CodedLayer::without_matter([0; 4]));
         self.origins.push(Origin::Copied);
         true
     }

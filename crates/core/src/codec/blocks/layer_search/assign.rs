@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::super::model::{BLOCK, BlockLayer, DepthPlane};
+use super::super::model::{BLOCK, BlockLayer, PlaneFit};
 use super::lists::{BlockLists, CollectedLight, ListWalk, TAU_MIN};
 use super::{
     BLOCK_LISTS, Column, KAPPA_FLOOR, ListSubset, SAMPLES, SampleColumn, greater, lesser, select, sum,
@@ -98,7 +98,7 @@ impl Assigned {
         &mut self,
         walk: &mut ListWalk,
         lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
+        planes: &[(PlaneFit, PlaneFit)],
         of: &impl ListSubset,
     ) {
         self.num = planes.len();
@@ -126,7 +126,7 @@ impl Assigned {
 
     /// Puts the matter of all lists into the layers.
     #[inline(always)]
-    pub(super) fn layers(&self, planes: &[(DepthPlane, DepthPlane)], out: &mut Vec<BlockLayer>) {
+    pub(super) fn layers(&self, planes: &[(PlaneFit, PlaneFit)], out: &mut Vec<BlockLayer>) {
         out.resize_with(self.num, BlockLayer::default);
         for ((cells, layer), &(front, back)) in self.cells.iter().zip(&mut *out).zip(planes) {
             (layer.front, layer.back, layer.mask) = (front, back, cells.mask);
@@ -145,7 +145,7 @@ impl Assigned {
     pub(super) fn fit(
         &mut self,
         slopes: [f32; 2],
-        planes: &mut Vec<(DepthPlane, DepthPlane)>,
+        planes: &mut Vec<(PlaneFit, PlaneFit)>,
         of: &impl ListSubset,
     ) {
         let mut kept = 0;
@@ -171,11 +171,7 @@ impl Assigned {
 
 /// The end of layer `n` in some lists.
 #[inline(always)]
-pub(super) fn borders(
-    planes: &[(DepthPlane, DepthPlane)],
-    n: usize,
-    lists: &[usize; SAMPLES],
-) -> SampleColumn {
+pub(super) fn borders(planes: &[(PlaneFit, PlaneFit)], n: usize, lists: &[usize; SAMPLES]) -> SampleColumn {
     match planes.get(n + 1) {
         None => [f32::MAX; SAMPLES],
         Some((next, _)) => lists.map(|i| 0.5 * (planes[n].1.at(i) + next.at(i))),
@@ -196,7 +192,7 @@ fn weights(cells: &AssignedLayer, kappa: &Column, num: usize) -> Column {
 
 /// The plane with least squared distance from depths `z`, whose slopes are drawn towards these.
 #[inline(always)]
-fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl ListSubset) -> DepthPlane {
+fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl ListSubset) -> PlaneFit {
     let middle = (BLOCK as f32 - 1.0) / 2.0;
     let [w, wx, wy, wz] = sum(of.num(), |slot| {
         let i = of.list(slot);
@@ -219,7 +215,7 @@ fn fitted(weights: &Column, z: &Column, [dx, dy]: [f32; 2], of: &impl ListSubset
     let per_determinant = 1.0 / (xx * yy - xy * xy);
     let dx = dx + (xz * yy - yz * xy) * per_determinant;
     let dy = dy + (yz * xx - xz * xy) * per_determinant;
-    DepthPlane { z: mz - dx * mx - dy * my, dx, dy }
+    PlaneFit { z: mz - dx * mx - dy * my, dx, dy }
 }
 
 /// Below this visible opacity, the visible colour does not tell the colour.

@@ -20,7 +20,7 @@ mod moved;
 #[cfg(test)]
 pub(super) mod tests;
 
-use super::model::{BLOCK, BLOCK_LISTS, BlockLayer, DepthPlane, MAX_LAYERS};
+use super::model::{BLOCK, BLOCK_LISTS, BlockLayer, MAX_LAYERS, PlaneFit};
 use super::steps::LayerCost;
 use assign::Assigned;
 use cuts::CutSearch;
@@ -36,12 +36,12 @@ pub(super) struct LayerSearch {
 }
 
 wide! {
-    fn find(search: &mut LayerSearch, lists: &BlockLists, cost: &LayerCost, out: &mut Vec<(DepthPlane, DepthPlane)>)
+    fn find(search: &mut LayerSearch, lists: &BlockLists, cost: &LayerCost, out: &mut Vec<(PlaneFit, PlaneFit)>)
         = LayerSearch::find_any;
 }
 
 wide! {
-    fn fit(search: &mut LayerSearch, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>)
+    fn fit(search: &mut LayerSearch, lists: &BlockLists, planes: &mut Vec<(PlaneFit, PlaneFit)>)
         = LayerSearch::fit_any;
 }
 
@@ -49,31 +49,26 @@ wide! {
     fn assign(
         search: &mut LayerSearch,
         lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
+        planes: &[(PlaneFit, PlaneFit)],
         out: &mut Vec<BlockLayer>,
     ) = LayerSearch::assign_any;
 }
 
 wide! {
-    fn error(search: &mut LayerSearch, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32
+    fn error(search: &mut LayerSearch, lists: &BlockLists, planes: &[(PlaneFit, PlaneFit)], limit: f32) -> f32
         = LayerSearch::error_any;
 }
 
 impl LayerSearch {
     /// Front and back planes of layers that suit the lists, at most [`MAX_LAYERS`] and at least one if there is matter, in
     /// the order of their depth, into `out`.
-    pub(super) fn find(
-        &mut self,
-        lists: &BlockLists,
-        cost: &LayerCost,
-        out: &mut Vec<(DepthPlane, DepthPlane)>,
-    ) {
+    pub(super) fn find(&mut self, lists: &BlockLists, cost: &LayerCost, out: &mut Vec<(PlaneFit, PlaneFit)>) {
         find(self, lists, cost, out);
     }
 
     /// Moves planes of layers to what lies in them, and drops layers without matter in the lists that are looked at. Costs
     /// a fraction of [`LayerSearch::find`], and finds as good planes where these suited lists much like these.
-    pub(super) fn fit(&mut self, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
+    pub(super) fn fit(&mut self, lists: &BlockLists, planes: &mut Vec<(PlaneFit, PlaneFit)>) {
         fit(self, lists, planes);
     }
 
@@ -82,7 +77,7 @@ impl LayerSearch {
     pub(super) fn assign(
         &mut self,
         lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
+        planes: &[(PlaneFit, PlaneFit)],
         out: &mut Vec<BlockLayer>,
     ) {
         assign(self, lists, planes, out);
@@ -90,23 +85,18 @@ impl LayerSearch {
 
     /// About the error of [`LayerSearch::assign`], from some of the lists: how far matter has moved, times how much of it is seen.
     /// Infinite as soon as it is above `limit`.
-    pub(super) fn error(
-        &mut self,
-        lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
-        limit: f32,
-    ) -> f32 {
+    pub(super) fn error(&mut self, lists: &BlockLists, planes: &[(PlaneFit, PlaneFit)], limit: f32) -> f32 {
         error(self, lists, planes, limit)
     }
 
     #[inline(always)]
-    fn find_any(&mut self, lists: &BlockLists, cost: &LayerCost, out: &mut Vec<(DepthPlane, DepthPlane)>) {
+    fn find_any(&mut self, lists: &BlockLists, cost: &LayerCost, out: &mut Vec<(PlaneFit, PlaneFit)>) {
         out.clear();
         if lists.is_empty() {
             return;
         }
         let slopes = cuts::slopes(lists);
-        let plane = |z| DepthPlane { z, dx: slopes[0], dy: slopes[1] };
+        let plane = |z| PlaneFit { z, dx: slopes[0], dy: slopes[1] };
         for (i, shear) in self.walk.shear.iter_mut().enumerate() {
             *shear = plane(0.0).at(lists.sampled(i));
         }
@@ -118,31 +108,26 @@ impl LayerSearch {
     }
 
     #[inline(always)]
-    fn fit_any(&mut self, lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
+    fn fit_any(&mut self, lists: &BlockLists, planes: &mut Vec<(PlaneFit, PlaneFit)>) {
         if !planes.is_empty() {
             self.fit_near(cuts::slopes(lists), lists, planes);
         }
     }
 
     #[inline(always)]
-    fn fit_near(&mut self, slopes: [f32; 2], lists: &BlockLists, planes: &mut Vec<(DepthPlane, DepthPlane)>) {
+    fn fit_near(&mut self, slopes: [f32; 2], lists: &BlockLists, planes: &mut Vec<(PlaneFit, PlaneFit)>) {
         self.assigned.put_all::<false>(&mut self.walk, lists, planes, lists);
         self.assigned.fit(slopes, planes, lists);
     }
 
     #[inline(always)]
-    fn assign_any(
-        &mut self,
-        lists: &BlockLists,
-        planes: &[(DepthPlane, DepthPlane)],
-        out: &mut Vec<BlockLayer>,
-    ) {
+    fn assign_any(&mut self, lists: &BlockLists, planes: &[(PlaneFit, PlaneFit)], out: &mut Vec<BlockLayer>) {
         self.assigned.put_all::<true>(&mut self.walk, lists, planes, &AllLists);
         self.assigned.layers(planes, out);
     }
 
     #[inline(always)]
-    fn error_any(&mut self, lists: &BlockLists, planes: &[(DepthPlane, DepthPlane)], limit: f32) -> f32 {
+    fn error_any(&mut self, lists: &BlockLists, planes: &[(PlaneFit, PlaneFit)], limit: f32) -> f32 {
         // No error is less than 0.
         if planes.is_empty() || limit < 0.0 {
             return f32::INFINITY;

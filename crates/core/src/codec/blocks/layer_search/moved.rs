@@ -3,7 +3,7 @@
 use super::assign::borders;
 use super::cuts::{joined_in_list, weight};
 use super::lists::{BlockLists, CollectedLight, ListWalk, PieceObserver};
-use super::{DepthPlane, ListSubset, SAMPLES, SampleColumn, power_5_4, select, sum};
+use super::{ListSubset, PlaneFit, SAMPLES, SampleColumn, power_5_4, select, sum};
 use crate::kernels::raycast::opacity;
 
 /// The partings of lists in a layer: a gap, or the border of two pieces. Has what lists collect up to there.
@@ -73,7 +73,7 @@ impl PieceObserver for Gaps<'_> {
 pub(super) fn moved(
     walk: &mut ListWalk,
     lists: &BlockLists,
-    planes: &[(DepthPlane, DepthPlane)],
+    planes: &[(PlaneFit, PlaneFit)],
     of: &impl ListSubset,
     num_each: f32,
     limit: f32,

@@ -37,7 +37,7 @@ fn lists(frame: &LayeredFrame) -> BlockLists {
 
 /// A sloping slab, thicker than thin.
 pub(in crate::codec::blocks) fn slab(i: usize, z: f32, thickness: f32, gray: f32, tau: f32) -> Segment {
-    let front = DepthPlane { z, dx: 90.0, dy: -60.0 }.at(i);
+    let front = PlaneFit { z, dx: 90.0, dy: -60.0 }.at(i);
     segment(front, front + thickness, gray, tau)
 }
 
@@ -85,7 +85,7 @@ fn greatest_change(frame: &LayeredFrame, layers: &[BlockLayer]) -> f32 {
     (0..BLOCK_LISTS).map(change).fold(0.0, f32::max)
 }
 
-fn planes(layers: &[BlockLayer]) -> Vec<(DepthPlane, DepthPlane)> {
+fn planes(layers: &[BlockLayer]) -> Vec<(PlaneFit, PlaneFit)> {
     layers.iter().map(|layer| (layer.front, layer.back)).collect()
 }
 
@@ -100,7 +100,7 @@ fn find(search: &mut LayerSearch, lists: &BlockLists, cost: &LayerCost, out: &mu
 fn assign(
     search: &mut LayerSearch,
     lists: &BlockLists,
-    planes: &[(DepthPlane, DepthPlane)],
+    planes: &[(PlaneFit, PlaneFit)],
     out: &mut Vec<BlockLayer>,
 ) -> f32 {
     search.assign(lists, planes, out);
@@ -122,7 +122,7 @@ fn matter_is_conserved() {
         assert!(greatest_change(&frame, &layers) < 1.1e-4, "{lambda}");
     }
     // Planes that have nothing to do with the lists, and not in order.
-    let plane = |z, dx| DepthPlane { z, dx, dy: 30.0 };
+    let plane = |z, dx| PlaneFit { z, dx, dy: 30.0 };
     let foreign = [
         (plane(20000.0, 0.0), plane(14000.0, 200.0)),
         (plane(11000.0, -900.0), plane(15000.0, 0.0)),
@@ -140,7 +140,7 @@ fn matter_is_conserved() {
 /// Behind so much that what is seen of them is less than the rounding of what is seen in front.
 #[test]
 fn what_is_hidden_keeps_its_colour() {
-    let flat = |z| DepthPlane { z, dx: 0.0, dy: 0.0 };
+    let flat = |z| PlaneFit { z, dx: 0.0, dy: 0.0 };
     let hidden = [segment(21000.0, 21400.0, 0.9, 0.4), segment(21500.0, 21900.0, 0.2, 0.7)];
     for tau_in_front in [0.0, 2.0, 9.0, 14.0] {
         let front = (tau_in_front > 0.0).then(|| segment(20000.0, 20500.0, 0.6, tau_in_front));
@@ -185,7 +185,7 @@ fn a_slab_is_one_layer_with_its_planes() {
     let (mut search, mut layers) = (LayerSearch::default(), vec![]);
     let error = find(&mut search, &lists, &COST, &mut layers);
     assert_eq!((layers.len(), layers[0].mask), (1, u64::MAX));
-    let expected = DepthPlane { z: 20000.0, dx: 90.0, dy: -60.0 };
+    let expected = PlaneFit { z: 20000.0, dx: 90.0, dy: -60.0 };
     for (plane, z) in [(layers[0].front, 20000.0), (layers[0].back, 23000.0)] {
         // The slopes are whole numbers, the depth at each list is rounded down by 0 or ½.
         assert!((plane.z - z).abs() < 1.0, "{plane:?}");
@@ -263,7 +263,7 @@ fn planes_that_were_near_are_fitted_to_the_slabs() {
     // Where the slabs have moved to, and a layer in front that has nothing any more.
     let moved = lists(&two(20300.0));
     let mut fitted = planes(&layers);
-    let nothing = DepthPlane { z: 5000.0, dx: 0.0, dy: 0.0 };
+    let nothing = PlaneFit { z: 5000.0, dx: 0.0, dy: 0.0 };
     fitted.insert(0, (nothing, nothing));
     let before = search.error(&moved, &fitted, f32::INFINITY);
     search.fit(&moved, &mut fitted);
@@ -309,7 +309,7 @@ fn trials_are_near_to_what_is_given_and_end_early() {
 fn short_ends_stay_with_the_rest() {
     let mut lists = lists(&frame(|_| vec![segment(20000.0, 21000.0, 0.8, 0.7)]));
     let (mut search, mut layers) = (LayerSearch::default(), vec![]);
-    let flat = |z| DepthPlane { z, dx: 0.0, dy: 0.0 };
+    let flat = |z| PlaneFit { z, dx: 0.0, dy: 0.0 };
     for (cut, in_first, in_second) in
         [(20095.0, false, true), (20105.0, true, true), (20895.0, true, true), (20905.0, true, false)]
     {
