@@ -264,3 +264,28 @@ pub(crate) const WORKGROUP_SIDE: u32 = 8;
 pub(crate) const RAYS_IN_GROUP: u32 = 32;
 /// Height of the workgroups that cast novel views or make lists: with the side above, they fill one SIMD group.
 pub(crate) const GROUP_HEIGHT: u32 = 4;
+
+/// See `shaders/blocks/frame.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub(crate) struct BlockFrame {
+    pub(crate) size: [u32; 2],
+    pub(crate) num_blocks: [u32; 2],
+    pub(crate) along: [[i32; 4]; 4],
+    pub(crate) here: [[i32; 4]; 4],
+    pub(crate) shift: u32,
+    pub(crate) is_still: u32,
+    pub(crate) reference_blocks: [u32; 2],
+    pub(crate) first_layer: u32,
+    pub(crate) first_cell: u32,
+    pub(crate) most_layers: u32,
+    pub(crate) most_cells: u32,
+    pub(crate) reference_first_layer: u32,
+    pub(crate) reference_first_cell: u32,
+    pub(crate) depth: i32,
+    pub(crate) opacity: u32,
+    pub(crate) color: u32,
+    pub(crate) picture: i32,
+    pub(crate) chroma: i32,
+    pub(crate) padding_0: u32,
+}

@@ -5,6 +5,7 @@
 
 mod adapters;
 mod atlas;
+pub mod blocks;
 mod casts;
 mod combine;
 mod device;

@@ -130,6 +130,16 @@ pub(crate) enum Kernel {
     Compact,
     /// Entry point `empty_space`.
     EmptySpace,
+    /// Entry point `tiles`: the blocks of a frame from their bits.
+    BlockTiles,
+    /// Entry point `smooth_borders`: those to lower blocks, or to blocks on the right.
+    BlockBorders { is_below: bool },
+    /// Entry point `factors`: the corrected colours of cells.
+    BlockFactors,
+    /// Entry point `make_tables`: the probabilities that follow from a frame.
+    BlockTables,
+    /// Entry points `sum_blocks`, `scan_blocks`, `write_lists`: the lists of a frame from its blocks.
+    BlockLists,
     /// Entry point `raycast`.
     RaycastCompute(Purpose),
     /// Entry points `view_vertex`, `view_fragment`, and whether the shader encodes sRGB.
@@ -148,6 +158,7 @@ impl Kernel {
                 constants.push(("ENCODES_SRGB", f64::from(u8::from(encodes_srgb))));
                 constants
             }
+            Self::BlockBorders { is_below } => vec![("IS_BELOW", f64::from(u8::from(is_below)))],
             _ => Vec::new(),
         }
     }
@@ -170,7 +181,27 @@ impl Kernel {
                 let text = purpose.text();
                 return [&[&text, crossings, &is_mean, BUDGET, GENERATE, STREAM][..], list].concat().concat();
             }
-            Self::Compact => &[TYPES, COMPACT],
+            Self::Compact => &[TYPES, COMPACT, OFFSETS],
+            Self::BlockTiles => &[
+                BLOCK_FRAME,
+                BLOCK_NUMBERS,
+                BLOCK_ROOTS,
+                BLOCK_SCALES,
+                BLOCK_ENTROPY,
+                BLOCK_SYNTAX,
+                BLOCK_MOTION,
+                BLOCK_FETCH,
+                BLOCK_PLANES,
+                BLOCK_LAYERS,
+                BLOCK_CORRECTIONS,
+                BLOCK_TILE,
+            ],
+            Self::BlockBorders { .. } => &[BLOCK_FRAME, BLOCK_ROOTS, BLOCK_SMOOTH],
+            Self::BlockFactors => &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_FACTORS],
+            Self::BlockTables => &[BLOCK_TABLES],
+            Self::BlockLists => {
+                &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_SCALES, TYPES, LAYER, BLOCK_LISTS, OFFSETS]
+            }
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
             Self::EmptySpace => &[TYPES, SPACE, LAYER, EMPTY_SPACE, WAY, EMPTY_SPACE_BUILD],
             Self::RaycastCompute(Purpose { frames, .. }) => {
@@ -365,6 +396,7 @@ const PART_MEAN: &str = include_str!("../../../shaders/layering/parts/mean.wgsl"
 const PART_STEPS: &str = include_str!("../../../shaders/layering/parts/steps.wgsl");
 const PART_RAW_CROSSINGS: &str = include_str!("../../../shaders/layering/parts/raw_crossings.wgsl");
 const PART_SEEN: &str = include_str!("../../../shaders/layering/parts/seen.wgsl");
+const OFFSETS: &str = include_str!("../../../shaders/shared/offsets.wgsl");
 const COMPACT: &str = include_str!("../../../shaders/layering/compact.wgsl");
 const EMPTY_SPACE: &str = include_str!("../../../shaders/empty_space.wgsl");
 const EMPTY_SPACE_BUILD: &str = include_str!("../../../shaders/empty_space_build.wgsl");
@@ -374,3 +406,19 @@ const COMBINE: &str = include_str!("../../../shaders/combine.wgsl");
 const RAYCAST_COMPUTE: &str = include_str!("../../../shaders/raycast_compute.wgsl");
 const UPSCALE: &str = include_str!("../../../shaders/upscale.wgsl");
 const RAYCAST_VIEW: &str = include_str!("../../../shaders/raycast_view.wgsl");
+const BLOCK_FRAME: &str = include_str!("../../../shaders/blocks/frame.wgsl");
+const BLOCK_NUMBERS: &str = include_str!("../../../shaders/blocks/numbers.wgsl");
+const BLOCK_ROOTS: &str = include_str!("../../../shaders/blocks/roots.wgsl");
+const BLOCK_SCALES: &str = include_str!("../../../shaders/blocks/scales.wgsl");
+const BLOCK_ENTROPY: &str = include_str!("../../../shaders/blocks/entropy.wgsl");
+const BLOCK_SYNTAX: &str = include_str!("../../../shaders/blocks/syntax.wgsl");
+const BLOCK_MOTION: &str = include_str!("../../../shaders/blocks/motion.wgsl");
+const BLOCK_FETCH: &str = include_str!("../../../shaders/blocks/fetch.wgsl");
+const BLOCK_PLANES: &str = include_str!("../../../shaders/blocks/planes.wgsl");
+const BLOCK_LAYERS: &str = include_str!("../../../shaders/blocks/layers.wgsl");
+const BLOCK_CORRECTIONS: &str = include_str!("../../../shaders/blocks/corrections.wgsl");
+const BLOCK_TILE: &str = include_str!("../../../shaders/blocks/tile.wgsl");
+const BLOCK_SMOOTH: &str = include_str!("../../../shaders/blocks/smooth.wgsl");
+const BLOCK_FACTORS: &str = include_str!("../../../shaders/blocks/factors.wgsl");
+const BLOCK_TABLES: &str = include_str!("../../../shaders/blocks/tables.wgsl");
+const BLOCK_LISTS: &str = include_str!("../../../shaders/blocks/lists.wgsl");

@@ -39,6 +39,7 @@
 //! | `layer_search` | lists to layers |
 //! | `encode` | encoding |
 //! | `decode` | decoding |
+//! | `device` | frames in words, for a GPU |
 //! | `raster` | pictures coded as planes are, for comparisons |
 //! | `rate` | bytes to quality |
 
@@ -46,6 +47,7 @@ mod bands;
 mod coding;
 mod corrections;
 mod decode;
+pub mod device;
 mod encode;
 mod entropy;
 mod fetch;
