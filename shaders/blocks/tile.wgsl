@@ -1,12 +1,12 @@
-// Decodes the blocks of a tile (twin of crates/core/src/codec/blocks/coding/). A workgroup has a tile: its first lane
-// reads bits, and each lane has a list of the present block.
+// Decodes the blocks of a tile or a quarter of one (twin of crates/core/src/codec/blocks/coding/). A workgroup has a
+// stream: its first lane reads bits, and each lane has a list of the present block.
 
 @group(0) @binding(0) var<uniform> frame: BlockFrame;
 @group(0) @binding(1) var<storage, read> scales: array<u32>;
 // Probabilities of a one, two to a word.
 @group(0) @binding(2) var<storage, read> probabilities: array<u32>;
-// For each tile the first word of 16 bits of its stream, their number, and the first word of its probabilities. Then the
-// streams.
+// For each stream the first of its words of 16 bits, their number, and the first word of its probabilities; column and row
+// of its first block, and columns and rows of blocks, two in a word. Then the streams.
 @group(0) @binding(3) var<storage, read> payload: array<u32>;
 @group(0) @binding(4) var<storage, read> before: array<u32>;
 @group(0) @binding(5) var<storage, read_write> after: array<u32>;
@@ -49,13 +49,10 @@ var<private> colors: vec3i;
 
 @compute @workgroup_size(64)
 fn tiles(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let stream = vec3u(payload[3u * group.x], payload[3u * group.x + 1u], payload[3u * group.x + 2u]);
-    if (stream.y == 0u) {
-        return;
-    }
-    let across_frame = (frame.num_blocks.x + 7u) / 8u;
-    let first = 8u * vec2u(group.x % across_frame, group.x / across_frame);
-    let num = min(vec2u(8u), frame.num_blocks - first);
+    let at = WORDS_OF_STREAM * group.x;
+    let stream = vec3u(payload[at], payload[at + 1u], payload[at + 2u]);
+    let first = vec2u(payload[at + 3u] & 0xffffu, payload[at + 3u] >> 16u);
+    let num = vec2u(payload[at + 4u] & 0xffffu, payload[at + 4u] >> 16u);
     let own_block = vec2u(lane & 7u, lane >> 3u);
     moved_to[lane] = reference_block(vec2i(first + own_block));
     if (lane == 0u) {
@@ -336,6 +333,7 @@ fn note_mask(block: u32, layer: u32) -> vec2u {
     return vec2u(bitcast<u32>(notes[at]), bitcast<u32>(notes[at + 1u]));
 }
 
+const WORDS_OF_STREAM: u32 = 5u;
 const MAX_LAYERS: u32 = 24u;
 const WORDS_OF_NOTE: u32 = 13u;
 // The present block among those of `notes`.

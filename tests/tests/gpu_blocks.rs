@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use isinglass_core::camera::{Camera, Intrinsics, Pose};
-use isinglass_core::codec::blocks::device::DevicePayload;
+use isinglass_core::codec::blocks::device::{DevicePayload, WORDS_OF_STREAM};
 use isinglass_core::codec::blocks::{Reference, References, Settings, encode};
 use isinglass_core::codec::{EncodedFrame, decode_with};
 use isinglass_core::ids::FrameId;
@@ -15,8 +15,9 @@ use isinglass_core::kernels::march::{MarchSettings, Scene};
 use isinglass_core::layer::FrameHeader;
 use isinglass_core::transfer::{ControlPoint, Domain, TransferFunction, UnitLength};
 use isinglass_core::volume::procedural::Builtin;
+use isinglass_gpu::GpuReprojector;
 use isinglass_gpu::blocks::{BlockDecoder, DeviceFrame, Room};
-use isinglass_tests::twins::gpu;
+use isinglass_tests::twins::{Difference, gpu};
 
 const ROOM: Room = Room { layers: 1 << 16, cells: 1 << 20 };
 
@@ -46,7 +47,7 @@ fn bytes(encoded: &EncodedFrame) -> Vec<&[u8]> {
 
 /// Whether a device has the numbers of a reference.
 fn is_same(decoder: &BlockDecoder, on_device: &DeviceFrame, reference: &Reference) -> bool {
-    let found = decoder.read(on_device).unwrap();
+    let found = decoder.read(gpu().unwrap(), on_device).unwrap();
     assert_eq!(found.num_damaged, 0);
     found.words.sorted() == reference.words()
         && found.counts == reference.count_words()
@@ -56,7 +57,7 @@ fn is_same(decoder: &BlockDecoder, on_device: &DeviceFrame, reference: &Referenc
 #[test]
 fn a_device_decodes_to_the_numbers_of_the_twin() {
     let Some(gpu) = gpu() else { return };
-    let decoder = BlockDecoder::new(gpu);
+    let decoder = BlockDecoder::new(gpu.device(), gpu.queue());
     for builtin in [Builtin::Shells, Builtin::Cloud] {
         let scene = scene(builtin);
         let mut before: Option<(Reference, DeviceFrame)> = None;
@@ -83,7 +84,7 @@ fn a_device_decodes_to_the_numbers_of_the_twin() {
 #[test]
 fn numbers_are_the_same_after_hundreds_of_predicted_frames() {
     let Some(gpu) = gpu() else { return };
-    let decoder = BlockDecoder::new(gpu);
+    let decoder = BlockDecoder::new(gpu.device(), gpu.queue());
     let scene = scene(Builtin::Shells);
     let mut before: Option<(Arc<Reference>, DeviceFrame)> = None;
     let mut references = References::default();
@@ -102,11 +103,40 @@ fn numbers_are_the_same_after_hundreds_of_predicted_frames() {
     }
 }
 
+/// What the device makes of a frame's blocks is what memory makes, and uploads: the same picture from another pose.
+#[test]
+fn a_frame_that_stays_on_the_device_is_cast_as_one_that_is_uploaded() {
+    let Some(gpu) = gpu() else { return };
+    let decoder = BlockDecoder::new(gpu.device(), gpu.queue());
+    let scene = scene(Builtin::Shells);
+    let bounds = scene.volume.bounds();
+    // Neither side is a multiple of a block.
+    let size = [203, 149];
+    let frame = generate(&scene, header(&scene, 1, size, 0.0, 1.0));
+    let (encoded, reference) = encode(&frame, &Settings::of(45), None).unwrap();
+    let payload = DevicePayload::read(&bytes(&encoded)).unwrap();
+    let on_device = decoder.decode(&payload, None, ROOM).unwrap();
+    let in_memory = reference.to_frame();
+    let mut caster = GpuReprojector::new(gpu, &in_memory, &bounds).unwrap();
+    for turn in [0.0, 6.0] {
+        let camera = header(&scene, 1, size, turn, 1.0).camera;
+        caster.set_frame(&in_memory, &bounds).unwrap();
+        let expected = caster.raycast(&camera).unwrap();
+        caster.set_blocks(&decoder, &on_device, &bounds).unwrap();
+        let found = caster.raycast(&camera).unwrap();
+        // C may be rounded otherwise where it lies half-way between two half floats.
+        assert!(Difference::of(&found, &expected).is_tolerable(), "{turn}");
+        // Negative control: another pose.
+        let other = caster.raycast(&header(&scene, 1, size, turn + 1.0, 1.0).camera).unwrap();
+        assert!(!Difference::of(&other, &expected).is_tolerable());
+    }
+}
+
 /// Damaged bytes end, and are named as such; nothing outside of a frame is touched.
 #[test]
 fn damaged_bytes_end_and_are_told() {
     let Some(gpu) = gpu() else { return };
-    let decoder = BlockDecoder::new(gpu);
+    let decoder = BlockDecoder::new(gpu.device(), gpu.queue());
     let scene = scene(Builtin::Shells);
     let frames =
         [0.0, 1.0].map(|turn| generate(&scene, header(&scene, 1 + turn as u32, [136, 80], turn, 1.0)));
@@ -114,7 +144,7 @@ fn damaged_bytes_end_and_are_told() {
     let (next, after) = encode(&frames[1], &Settings::of(50), Some(&reference)).unwrap();
     let before = decoder.upload(alone.header, &reference).unwrap();
     let sound = DevicePayload::read(&bytes(&next)).unwrap();
-    let first_stream = 3 * sound.num_tiles();
+    let first_stream = WORDS_OF_STREAM * sound.num_streams;
     let mut seed = 7u64;
     let mut random = |n: usize| {
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -127,13 +157,13 @@ fn damaged_bytes_end_and_are_told() {
             let at = first_stream + random(payload.words.len() - first_stream);
             payload.words[at] ^= 1 << random(32);
         }
-        let found = decoder.read(&decoder.decode(&payload, Some(&before), ROOM).unwrap()).unwrap();
+        let found = decoder.read(gpu, &decoder.decode(&payload, Some(&before), ROOM).unwrap()).unwrap();
         num_told += usize::from(found.num_damaged > 0);
     }
     // A changed bit leaves the state off its end, but for one in 2^16.
     assert_eq!(num_told, 40);
     // Too little room is told as well, and what is sound still decodes.
     let small = decoder.decode(&sound, Some(&before), Room { layers: 20, cells: 500 }).unwrap();
-    assert!(decoder.read(&small).unwrap().num_damaged > 0);
+    assert!(decoder.read(gpu, &small).unwrap().num_damaged > 0);
     assert!(is_same(&decoder, &decoder.decode(&sound, Some(&before), ROOM).unwrap(), &after));
 }

@@ -11,15 +11,19 @@ use isinglass_core::codec::blocks::device::{
 };
 use isinglass_core::layer::FrameHeader;
 
-use crate::device::{Gpu, bind};
+use wgpu::BindingType;
+
+use crate::device::{Gpu, READ, UNIFORM, WRITE, bind, buffer, check_binding, compute_pipeline, layout};
 use crate::error::GpuError;
-use crate::gpu_types::BlockFrame;
+use crate::gpu_types::{BLOCK, BlockFrame, LANES_OF_BLOCK};
 use crate::readback::Readback;
-use crate::shaders::Kernel;
+use crate::shaders::{BlockKernel, Kernel};
 
 /// A decoded frame on a device.
 pub struct DeviceFrame {
     header: FrameHeader,
+    /// What kernels know of it and of its reference.
+    uniform: wgpu::Buffer,
     /// Words of blocks, layers and cells.
     words: wgpu::Buffer,
     room: Room,
@@ -54,7 +58,13 @@ pub struct DeviceFrameWords {
 
 /// Decodes frames on one device.
 pub struct BlockDecoder {
-    gpu: Gpu,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    tiles: Pass,
+    borders: [Pass; 2],
+    factors: Pass,
+    tables: Pass,
+    lists: [Pass; 3],
     scales: wgpu::Buffer,
     prior: wgpu::Buffer,
     /// Counts of nothing.
@@ -62,16 +72,64 @@ pub struct BlockDecoder {
     num_contexts: usize,
 }
 
+/// A kernel with the types of its bindings.
+struct Pass {
+    pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
+}
+
+impl Pass {
+    fn new(device: &wgpu::Device, kernel: BlockKernel, entry: &'static str, types: &[BindingType]) -> Self {
+        let layout = layout(device, entry, wgpu::ShaderStages::COMPUTE, types);
+        Self { pipeline: compute_pipeline(device, Kernel::Blocks(kernel), entry, &[Some(&layout)]), layout }
+    }
+
+    /// Adds a dispatch of so many workgroups, with these bindings.
+    fn run(
+        &self,
+        device: &wgpu::Device,
+        pass: &mut wgpu::ComputePass<'_>,
+        num_groups: u32,
+        resources: &[wgpu::BindingResource<'_>],
+    ) {
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &bind(device, "blocks", &self.layout, resources), &[]);
+        let rows = num_groups.div_ceil(MOST_GROUPS).max(1);
+        pass.dispatch_workgroups(num_groups.div_ceil(rows), rows, 1);
+    }
+}
+
+/// The planes of a layered frame on a device, which [`BlockDecoder::write_lists`] fills.
+pub(crate) struct ListPlanes<'a> {
+    pub(crate) offsets: wgpu::BindingResource<'a>,
+    pub(crate) depth: wgpu::BindingResource<'a>,
+    pub(crate) c_rg: wgpu::BindingResource<'a>,
+    pub(crate) c_b_tau: wgpu::BindingResource<'a>,
+}
+
 impl BlockDecoder {
-    /// A decoder for a device.
-    pub fn new(gpu: &Gpu) -> Self {
+    /// A decoder for a device. It compiles kernels, which takes up to seconds.
+    pub fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Self {
+        use BlockKernel::{Borders, Factors, Lists, Tables, Tiles};
+        let borders = |is_below| Pass::new(device, Borders { is_below }, "smooth_borders", &[UNIFORM, WRITE]);
+        let lists = |entry| {
+            let types = [UNIFORM, READ, READ, WRITE, WRITE, WRITE, WRITE, WRITE];
+            Pass::new(device, Lists, entry, &types)
+        };
         let prior = prior_words();
+        let filled = |label, words: &[u32]| filled(device, queue, label, words);
         Self {
-            gpu: gpu.clone(),
-            scales: filled(gpu, "scales", &scale_words()),
-            no_counts: gpu.storage("counts", prior.len() as u64 * BYTES_OF_COUNTS),
+            tiles: Pass::new(device, Tiles, "tiles", &[UNIFORM, READ, READ, READ, READ, WRITE, WRITE, WRITE]),
+            borders: [false, true].map(borders),
+            factors: Pass::new(device, Factors, "factors", &[UNIFORM, READ, WRITE]),
+            tables: Pass::new(device, Tables, "make_tables", &[READ, READ, READ, WRITE, WRITE]),
+            lists: ["sum_blocks", "scan_blocks", "write_lists"].map(lists),
+            scales: filled("scales", &scale_words()),
+            no_counts: storage(device, "counts", prior.len() as u64 * BYTES_OF_COUNTS),
             num_contexts: 2 * prior.len(),
-            prior: filled(gpu, "prior", &prior),
+            prior: filled("prior", &prior),
+            device: device.clone(),
+            queue: queue.clone(),
         }
     }
 
@@ -85,87 +143,80 @@ impl BlockDecoder {
         before: Option<&DeviceFrame>,
         room: Room,
     ) -> Result<DeviceFrame, GpuError> {
-        let gpu = &self.gpu;
+        let Self { device, queue, .. } = self;
         let frame = self.frame(payload.header, room)?;
-        let num_blocks = num_blocks(&payload.header);
-        let num_pictures = num_blocks.iter().product::<u32>();
-        let picture_bytes = u64::from(num_pictures) * BYTES_OF_PICTURE;
-        gpu.check_binding("pictures of blocks in bytes", picture_bytes)?;
-        let pictures = gpu.storage("pictures", picture_bytes);
-        let uniform = gpu.uniform::<BlockFrame>("frame in blocks");
-        gpu.queue().write_buffer(&uniform, 0, bytemuck::bytes_of(&uniform_of(payload, before, room)));
-        let bits = filled(gpu, "payload", &payload.words);
+        queue.write_buffer(&frame.uniform, 0, bytemuck::bytes_of(&uniform_of(payload, before, room)));
+        let num_blocks = num_blocks(&payload.header).iter().product::<u32>();
+        let picture_bytes = u64::from(num_blocks) * BYTES_OF_PICTURE;
+        check_binding(device, "pictures of blocks in bytes", picture_bytes)?;
+        let pictures = storage(device, "pictures", picture_bytes);
+        let bits = filled(device, queue, "payload", &payload.words);
         let own;
         let probabilities = match before {
             Some(before) => &before.probabilities,
             None => {
-                own = filled(gpu, "probabilities", &payload.probabilities);
+                own = filled(device, queue, "probabilities", &payload.probabilities);
                 &own
             }
         };
         // Without a reference, nothing of it is read.
-        let none = gpu.storage("no reference", 4);
+        let none = storage(device, "no reference", 4);
         let words_before = before.map_or(&none, |before| &before.words);
         let counts_before = before.map_or(&self.no_counts, |before| &before.counts);
-        let layouts = &gpu.layouts().blocks;
-        let group = |label, layout, buffers: &[&wgpu::Buffer]| {
-            let resources: Vec<_> = buffers.iter().map(|buffer| buffer.as_entire_binding()).collect();
-            bind(gpu.device(), label, layout, &resources)
-        };
-        let tiles = group(
-            "tiles",
-            &layouts.tiles,
-            &[
-                &uniform,
-                &self.scales,
-                probabilities,
-                &bits,
-                words_before,
-                &frame.words,
-                &frame.tally,
-                &pictures,
-            ],
-        );
-        let borders = group("borders", &layouts.borders, &[&uniform, &pictures]);
-        let factors = group("factors", &layouts.factors, &[&uniform, &pictures, &frame.words]);
-        let tables = group(
-            "tables",
-            &layouts.tables,
-            &[&self.prior, counts_before, &frame.tally, &frame.counts, &frame.probabilities],
-        );
-        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        let DeviceFrame { uniform, words, tally, counts, .. } = &frame;
+        let mut encoder = device.create_command_encoder(&Default::default());
         let mut pass = encoder.begin_compute_pass(&Default::default());
-        let mut run = |kernel, entry, group: &wgpu::BindGroup, num: u32| {
-            pass.set_pipeline(&gpu.pipeline(kernel, entry));
-            pass.set_bind_group(0, group, &[]);
-            let rows = num.div_ceil(MOST_GROUPS).max(1);
-            pass.dispatch_workgroups(num.div_ceil(rows), rows, 1);
+        let mut run = |kernel: &Pass, num_groups, buffers: &[&wgpu::Buffer]| {
+            let resources: Vec<_> = buffers.iter().map(|buffer| buffer.as_entire_binding()).collect();
+            kernel.run(device, &mut pass, num_groups, &resources);
         };
-        run(Kernel::BlockTiles, "tiles", &tiles, payload.num_tiles() as u32);
-        let lines = (8 * num_pictures).div_ceil(64);
-        for is_below in [false, true] {
-            run(Kernel::BlockBorders { is_below }, "smooth_borders", &borders, lines);
+        let of_tiles = [uniform, &self.scales, probabilities, &bits, words_before, words, tally, &pictures];
+        run(&self.tiles, payload.num_streams as u32, &of_tiles);
+        for borders in &self.borders {
+            run(borders, (8 * num_blocks).div_ceil(LANES_OF_BLOCK), &[uniform, &pictures]);
         }
-        run(Kernel::BlockFactors, "factors", &factors, num_pictures);
-        run(Kernel::BlockTables, "make_tables", &tables, (self.num_contexts as u32 / 2).div_ceil(64));
+        run(&self.factors, num_blocks, &[uniform, &pictures, words]);
+        let of_tables = [&self.prior, counts_before, tally, counts, &frame.probabilities];
+        run(&self.tables, (self.num_contexts as u32 / 2).div_ceil(LANES_OF_BLOCK), &of_tables);
         drop(pass);
-        gpu.queue().submit([encoder.finish()]);
+        queue.submit([encoder.finish()]);
         Ok(frame)
+    }
+
+    /// Adds what writes the lists of a frame to planes, which have room for all of its cells.
+    pub(crate) fn write_lists(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        frame: &DeviceFrame,
+        planes: &ListPlanes<'_>,
+    ) {
+        let num_blocks = (frame.header.camera.intrinsics.num_pixels() as u32).div_ceil(BLOCK);
+        let sums = storage(&self.device, "block_sums", u64::from(num_blocks) * 4);
+        let [uniform, scales, words, sums] =
+            [&frame.uniform, &self.scales, &frame.words, &sums].map(|buffer| buffer.as_entire_binding());
+        let ListPlanes { offsets, depth, c_rg, c_b_tau } = planes;
+        let resources =
+            [uniform, scales, words, sums, offsets.clone(), depth.clone(), c_rg.clone(), c_b_tau.clone()];
+        for (kernel, num_groups) in self.lists.iter().zip([num_blocks, 1, num_blocks]) {
+            kernel.run(&self.device, pass, num_groups, &resources);
+        }
     }
 
     /// A frame without anything in it. New buffers have zeros.
     fn frame(&self, header: FrameHeader, room: Room) -> Result<DeviceFrame, GpuError> {
-        let gpu = &self.gpu;
-        let bytes = first_words(&header, room).into_iter().map(u64::from).max().unwrap_or(0) * 4
-            + u64::from(room.cells) * WORDS_OF_CELL as u64 * 4;
-        gpu.check_binding("a frame in blocks in bytes", bytes)?;
+        let device = &self.device;
+        let [_, first_cell] = first_words(&header, room);
+        let bytes = 4 * (u64::from(first_cell) + u64::from(room.cells) * WORDS_OF_CELL as u64);
+        check_binding(device, "a frame in blocks in bytes", bytes)?;
+        let uniform = buffer(device, "frame", size_of::<BlockFrame>() as u64, wgpu::BufferUsages::UNIFORM);
         Ok(DeviceFrame {
             header,
-            words: gpu.storage("frame in blocks", bytes),
+            uniform,
+            words: storage(device, "frame in blocks", bytes),
             room,
-            counts: gpu.storage("counts", self.num_contexts as u64 / 2 * BYTES_OF_COUNTS),
-            probabilities: gpu.storage("probabilities", self.num_contexts as u64 * 2),
-            tally: gpu.storage("tally", (2 * self.num_contexts + 4) as u64 * 4),
+            counts: storage(device, "counts", self.num_contexts as u64 / 2 * BYTES_OF_COUNTS),
+            probabilities: storage(device, "probabilities", self.num_contexts as u64 * 2),
+            tally: storage(device, "tally", (2 * self.num_contexts + 4) as u64 * 4),
         })
     }
 
@@ -180,7 +231,7 @@ impl BlockDecoder {
             cells: (cells.len() / WORDS_OF_CELL) as u32,
         };
         let frame = self.frame(header, room)?;
-        let queue = self.gpu.queue();
+        let queue = &self.queue;
         queue.write_buffer(&frame.words, 0, bytemuck::cast_slice(&[blocks, layers, cells].concat()));
         queue.write_buffer(&frame.counts, 0, bytemuck::cast_slice(reference.count_words()));
         queue.write_buffer(&frame.probabilities, 0, bytemuck::cast_slice(&reference.probability_words()));
@@ -191,12 +242,12 @@ impl BlockDecoder {
     ///
     /// # Errors
     /// If the device is lost.
-    pub fn read(&self, frame: &DeviceFrame) -> Result<DeviceFrameWords, GpuError> {
+    pub fn read(&self, gpu: &Gpu, frame: &DeviceFrame) -> Result<DeviceFrameWords, GpuError> {
         let [mut words, mut counts, mut probabilities, mut tally] = [const { Vec::<u32>::new() }; 4];
         let size = |buffer: &wgpu::Buffer| (buffer.size() / 4) as usize;
         Readback::default().read(
-            &self.gpu,
-            self.gpu.device().create_command_encoder(&Default::default()),
+            gpu,
+            self.device.create_command_encoder(&Default::default()),
             [&frame.words, &frame.counts, &frame.probabilities, &frame.tally].map(|b| (b, size(b))),
             [&mut words, &mut counts, &mut probabilities, &mut tally],
         )?;
@@ -256,11 +307,28 @@ fn num_blocks(header: &FrameHeader) -> [u32; 2] {
     [intrinsics.width, intrinsics.height].map(|side| side.div_ceil(8))
 }
 
+/// A buffer that kernels read and write, and that copies can read and write. It begins with zeros.
+fn storage(device: &wgpu::Device, label: &str, bytes: u64) -> wgpu::Buffer {
+    buffer(device, label, bytes, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC)
+}
+
 /// A buffer with words.
-fn filled(gpu: &Gpu, label: &'static str, words: &[u32]) -> wgpu::Buffer {
-    let buffer = gpu.storage(label, 4 * words.len() as u64);
-    gpu.queue().write_buffer(&buffer, 0, bytemuck::cast_slice(words));
+fn filled(device: &wgpu::Device, queue: &wgpu::Queue, label: &str, words: &[u32]) -> wgpu::Buffer {
+    let buffer = storage(device, label, 4 * words.len() as u64);
+    queue.write_buffer(&buffer, 0, bytemuck::cast_slice(words));
     buffer
+}
+
+impl DeviceFrame {
+    /// Its header.
+    pub fn header(&self) -> &FrameHeader {
+        &self.header
+    }
+
+    /// Room for its layers and cells.
+    pub fn room(&self) -> Room {
+        self.room
+    }
 }
 
 /// Bytes of the counts of two contexts.

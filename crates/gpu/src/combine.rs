@@ -5,13 +5,12 @@
 use isinglass_core::kernels::combine::{MAX_FRAMES, band_of_newest};
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::raycast::CastOptions;
-use isinglass_core::layer::LayeredFrame;
 use isinglass_core::space::Aabb;
 
 use crate::device::{CasterLayouts, bind, buffer};
 use crate::error::GpuError;
 use crate::gpu_types::Combination;
-use crate::raycast::{FrameOnGpu, GridBuilder};
+use crate::raycast::{FrameOnGpu, GridBuilder, Lists};
 use crate::shaders::{Frames, Purpose};
 
 pub(crate) struct FramesOnGpu {
@@ -47,20 +46,20 @@ impl FramesOnGpu {
         }
     }
 
-    /// Uploads a frame to a slot. `bounds` is the box of its volume. A rejected frame leaves the former one.
+    /// Puts a frame into a slot. `bounds` is the box of its volume. A rejected frame leaves the former one.
     pub(crate) fn upload(
         &mut self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         slot: usize,
-        frame: &LayeredFrame,
+        lists: &Lists<'_>,
         bounds: &Aabb,
     ) -> Result<(), GpuError> {
         let layout = self.layouts.of(Frames::One);
         while self.slots.len() <= slot {
             self.slots.push(FrameOnGpu::new(device, layout, self.builder.clone()));
         }
-        let result = self.slots[slot].upload(device, queue, layout, frame, bounds);
+        let result = self.slots[slot].upload(device, queue, layout, lists, bounds);
         self.slots[slot].set_options(queue, &self.options);
         if self.shown.contains(&slot) {
             // Its buffers may have changed.

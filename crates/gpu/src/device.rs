@@ -65,29 +65,6 @@ pub(crate) struct Layouts {
     /// Group 0 of `raycast`.
     pub(crate) caster: CasterLayouts,
     pub(crate) empty_space: wgpu::BindGroupLayout,
-    pub(crate) blocks: BlockLayouts,
-}
-
-/// Group 0 of the kernels that decode blocks.
-pub(crate) struct BlockLayouts {
-    pub(crate) tiles: wgpu::BindGroupLayout,
-    pub(crate) borders: wgpu::BindGroupLayout,
-    pub(crate) factors: wgpu::BindGroupLayout,
-    pub(crate) tables: wgpu::BindGroupLayout,
-    pub(crate) lists: wgpu::BindGroupLayout,
-}
-
-impl BlockLayouts {
-    fn new(device: &wgpu::Device) -> Self {
-        let of = |label, types: &[BindingType]| layout(device, label, ShaderStages::COMPUTE, types);
-        Self {
-            tiles: of("tiles", &[UNIFORM, READ, READ, READ, READ, WRITE, WRITE, WRITE]),
-            borders: of("borders", &[UNIFORM, WRITE]),
-            factors: of("factors", &[UNIFORM, READ, WRITE]),
-            tables: of("tables", &[READ, READ, READ, WRITE, WRITE]),
-            lists: of("lists", &[UNIFORM, READ, READ, WRITE, WRITE, WRITE, WRITE, WRITE]),
-        }
-    }
 }
 
 /// Group 0 of the kernels that make novel views.
@@ -217,13 +194,8 @@ impl Gpu {
             }
             Kernel::Compact => &[Some(&layouts.compact)],
             Kernel::EmptySpace => &[Some(&layouts.empty_space)],
-            Kernel::BlockTiles => &[Some(&layouts.blocks.tiles)],
-            Kernel::BlockBorders { .. } => &[Some(&layouts.blocks.borders)],
-            Kernel::BlockFactors => &[Some(&layouts.blocks.factors)],
-            Kernel::BlockTables => &[Some(&layouts.blocks.tables)],
-            Kernel::BlockLists => &[Some(&layouts.blocks.lists)],
-            // Owners make their pipelines of vertices and fragments.
-            Kernel::Upscale | Kernel::RaycastView(..) => &[],
+            // Owners make their pipelines.
+            Kernel::Upscale | Kernel::RaycastView(..) | Kernel::Blocks(..) => &[],
             Kernel::RaycastCompute(purpose) => {
                 &[Some(layouts.caster.of(purpose.frames)), Some(&layouts.picture)]
             }
@@ -294,7 +266,6 @@ impl Layouts {
             ),
             caster: CasterLayouts::new(device, compute),
             empty_space: layout(device, "empty space", compute, &EMPTY_SPACE),
-            blocks: BlockLayouts::new(device),
         }
     }
 }

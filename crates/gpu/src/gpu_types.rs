@@ -260,6 +260,8 @@ pub(crate) struct Display {
 pub(crate) const BLOCK: u32 = 256;
 /// Side of the square workgroups of most kernels that work on pixels.
 pub(crate) const WORKGROUP_SIDE: u32 = 8;
+/// Invocations of a workgroup that decodes blocks: one for each list of a block.
+pub(crate) const LANES_OF_BLOCK: u32 = 64;
 /// Rays of a workgroup that gathers along them.
 pub(crate) const RAYS_IN_GROUP: u32 = 32;
 /// Height of the workgroups that cast novel views or make lists: with the side above, they fill one SIMD group.

@@ -6,11 +6,12 @@ use isinglass_core::kernels::combine::MAX_FRAMES;
 use isinglass_core::kernels::empty_space::TILE;
 use isinglass_core::kernels::lens::View;
 use isinglass_core::kernels::raycast::CastOptions;
-use isinglass_core::layer::LayeredFrame;
+use isinglass_core::layer::{FrameHeader, LayeredFrame};
 use isinglass_core::mode::Compositing;
 use isinglass_core::picture::Picture;
 use isinglass_core::space::Aabb;
 
+use crate::blocks::{BlockDecoder, DeviceFrame, ListPlanes};
 use crate::combine::FramesOnGpu;
 use crate::device::{Gpu, bind, buffer, check_binding};
 use crate::error::{GpuError, scoped};
@@ -39,6 +40,35 @@ pub(crate) struct FrameOnGpu {
     /// Group 0 of `one_frame.wgsl` for these buffers.
     pub(crate) bind_group: wgpu::BindGroup,
     build_group: wgpu::BindGroup,
+}
+
+/// Where the lists of a frame are.
+pub(crate) enum Lists<'a> {
+    Memory(&'a LayeredFrame),
+    /// On the device, in blocks.
+    Device(&'a BlockDecoder, &'a DeviceFrame),
+}
+
+impl Lists<'_> {
+    fn header(&self) -> &FrameHeader {
+        match self {
+            Self::Memory(frame) => &frame.header,
+            Self::Device(_, frame) => frame.header(),
+        }
+    }
+
+    fn most_segments(&self) -> u64 {
+        match self {
+            Self::Memory(frame) => frame.depth.len() as u64,
+            Self::Device(_, frame) => frame.room().cells.into(),
+        }
+    }
+}
+
+/// The planes that memory has of a frame.
+fn written(frame: &LayeredFrame) -> [(usize, &[u32]); 4] {
+    let LayeredFrame { offsets, depth, c_rg, c_b_tau, .. } = frame;
+    [(OFFSETS, offsets), (DEPTH, depth), (C_RG, c_rg), (C_B_TAU, c_b_tau)]
 }
 
 /// Two buffers hold six planes. So a kernel of four frames binds eight, and no kernel writes a grid to a buffer that
@@ -85,25 +115,64 @@ impl FrameOnGpu {
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         layout: &wgpu::BindGroupLayout,
-        frame: &LayeredFrame,
+        lists: &Lists<'_>,
         bounds: &Aabb,
     ) -> Result<(), GpuError> {
-        check_indices(frame)?;
-        let size = frame.header.camera.intrinsics;
-        let tiles = [size.width.div_ceil(TILE), size.height.div_ceil(TILE)];
-        let num_tiles = u64::from(tiles[0]) * u64::from(tiles[1]);
-        let written = [
-            (OFFSETS, &frame.offsets),
-            (DEPTH, &frame.depth),
-            (C_RG, &frame.c_rg),
-            (C_B_TAU, &frame.c_b_tau),
-        ];
-        let mut bytes = [0; NUM_PLANES];
-        for (plane, words) in written {
-            bytes[plane] = words.len() as u64 * 4;
+        if let Lists::Memory(frame) = lists {
+            check_indices(frame)?;
         }
+        let FrameHeader { camera, mode, .. } = *lists.header();
+        let tiles = [camera.intrinsics.width.div_ceil(TILE), camera.intrinsics.height.div_ceil(TILE)];
+        self.fit(device, layout, lists, u64::from(tiles[0]) * u64::from(tiles[1]))?;
+        self.compositing = mode.compositing();
+        self.uniform = Raycaster::of(&camera, bounds, self.compositing, &self.options);
+        let is_written = scoped(device, "writing a layered frame", || {
+            if let Lists::Memory(frame) = lists {
+                for (plane, words) in written(frame) {
+                    let Plane { buffer, start, .. } = self.buffers.planes[plane];
+                    queue.write_buffer(&self.buffers.buffers[buffer], start, bytemuck::cast_slice(words));
+                }
+            }
+            self.write_uniform(queue);
+            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                if let Lists::Device(decoder, frame) = lists {
+                    let [offsets, depth, c_rg, c_b_tau] =
+                        [OFFSETS, DEPTH, C_RG, C_B_TAU].map(|plane| self.buffers.plane(plane));
+                    decoder.write_lists(&mut pass, frame, &ListPlanes { offsets, depth, c_rg, c_b_tau });
+                }
+                pass.set_pipeline(&self.builder.pipeline);
+                pass.set_bind_group(0, &self.build_group, &[]);
+                pass.dispatch_workgroups(tiles[0], tiles[1], 1);
+            }
+            queue.submit([encoder.finish()]);
+            Ok(())
+        });
+        self.seen_by = Some((camera, *bounds));
+        if is_written.is_err() {
+            // If the upload fails half-way, nothing is shown.
+            self.seen_by = None;
+            self.uniform = bytemuck::Zeroable::zeroed();
+            self.compositing = Compositing::Over;
+            self.write_uniform(queue);
+        }
+        is_written
+    }
+
+    /// Makes room for a frame with so many tiles.
+    fn fit(
+        &mut self,
+        device: &wgpu::Device,
+        layout: &wgpu::BindGroupLayout,
+        lists: &Lists<'_>,
+        num_tiles: u64,
+    ) -> Result<(), GpuError> {
+        let num_lists = lists.header().camera.intrinsics.num_pixels() as u64;
+        let mut bytes = [lists.most_segments() * 4; NUM_PLANES];
+        bytes[OFFSETS] = (num_lists + 1) * 4;
         bytes[OCCUPIED] = num_tiles * 4;
-        bytes[SUMMARIES] = size.num_pixels() as u64 * SUMMARY_BYTES;
+        bytes[SUMMARIES] = num_lists * SUMMARY_BYTES;
         for bytes in bytes {
             check_binding(device, "plane of a layered frame in bytes", bytes)?;
         }
@@ -115,33 +184,7 @@ impl FrameOnGpu {
                 Ok((buffers, groups))
             })?;
         }
-        self.compositing = frame.header.mode.compositing();
-        self.uniform = Raycaster::of(&frame.header.camera, bounds, self.compositing, &self.options);
-        let is_written = scoped(device, "writing a layered frame", || {
-            for (plane, words) in written {
-                let Plane { buffer, start, .. } = self.buffers.planes[plane];
-                queue.write_buffer(&self.buffers.buffers[buffer], start, bytemuck::cast_slice(words));
-            }
-            self.write_uniform(queue);
-            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                pass.set_pipeline(&self.builder.pipeline);
-                pass.set_bind_group(0, &self.build_group, &[]);
-                pass.dispatch_workgroups(tiles[0], tiles[1], 1);
-            }
-            queue.submit([encoder.finish()]);
-            Ok(())
-        });
-        self.seen_by = Some((frame.header.camera, *bounds));
-        if is_written.is_err() {
-            // If the upload fails half-way, nothing is shown.
-            self.seen_by = None;
-            self.uniform = bytemuck::Zeroable::zeroed();
-            self.compositing = Compositing::Over;
-            self.write_uniform(queue);
-        }
-        is_written
+        Ok(())
     }
 
     pub(crate) fn set_options(&mut self, queue: &wgpu::Queue, options: &CastOptions) {
@@ -199,6 +242,11 @@ impl Buffers {
         Self { buffers, planes }
     }
 
+    fn plane(&self, plane: usize) -> wgpu::BindingResource<'_> {
+        let Plane { buffer, start, size } = self.planes[plane];
+        binding(&self.buffers[buffer], start, size)
+    }
+
     /// The groups for casting and for building the grid.
     fn bind(
         &self,
@@ -207,10 +255,7 @@ impl Buffers {
         builder: &GridBuilder,
         caster: &wgpu::Buffer,
     ) -> (wgpu::BindGroup, wgpu::BindGroup) {
-        let plane = |plane: usize| {
-            let Plane { buffer, start, size } = self.planes[plane];
-            binding(&self.buffers[buffer], start, size)
-        };
+        let plane = |plane| self.plane(plane);
         let caster = || caster.as_entire_binding();
         let [offsets, depth] = [plane(OFFSETS), plane(DEPTH)];
         let [occupied, rg, b_tau, summaries] = [OCCUPIED, C_RG, C_B_TAU, SUMMARIES].map(plane);
@@ -304,6 +349,21 @@ impl GpuReprojector {
         self.set_frames(&[frame], bounds)
     }
 
+    /// Replaces the frame with one that the device has decoded.
+    pub fn set_blocks(
+        &mut self,
+        decoder: &BlockDecoder,
+        frame: &DeviceFrame,
+        bounds: &Aabb,
+    ) -> Result<(), GpuError> {
+        let Self { gpu, frames, .. } = self;
+        gpu.attempt("writing the lists of a frame", || {
+            frames.upload(gpu.device(), gpu.queue(), 0, &Lists::Device(decoder, frame), bounds)?;
+            frames.show(gpu.device(), &[0]);
+            Ok(())
+        })
+    }
+
     /// Replaces the frames with several of one volume and look, the newest first: see
     /// [`isinglass_core::kernels::combine`]. If one is rejected, only those before it are cast.
     pub fn set_frames(&mut self, frames: &[&LayeredFrame], bounds: &Aabb) -> Result<(), GpuError> {
@@ -314,7 +374,7 @@ impl GpuReprojector {
         let slots: [usize; MAX_FRAMES] = std::array::from_fn(|slot| slot);
         gpu.attempt("uploading layered frames", || {
             for (slot, frame) in slots.into_iter().zip(frames) {
-                on_gpu.upload(gpu.device(), gpu.queue(), slot, frame, bounds)?;
+                on_gpu.upload(gpu.device(), gpu.queue(), slot, &Lists::Memory(frame), bounds)?;
                 on_gpu.show(gpu.device(), &slots[..=slot]);
             }
             Ok(())

@@ -3,15 +3,18 @@
 
 use std::collections::BTreeMap;
 
+use isinglass_core::codec::blocks::device::context_places;
 use isinglass_core::kernels::raycast::Reconstruction;
 use isinglass_core::mode::{Compositing, Mode};
 use wgpu::naga;
 
 use crate::gpu_types::{
-    BLOCK, Band, Basis, Combination, Display, GROUP_HEIGHT, PageField, PartBudget, PartRay, RAYS_IN_GROUP,
-    Raycaster, Scene, WORKGROUP_SIDE,
+    BLOCK, Band, Basis, BlockFrame, Combination, Display, GROUP_HEIGHT, LANES_OF_BLOCK, PageField,
+    PartBudget, PartRay, RAYS_IN_GROUP, Raycaster, Scene, WORKGROUP_SIDE,
 };
-use crate::shaders::{Extent, Frames, GatheredKind, Kernel, MarchPurpose, MixedPurpose, Purpose, TexelKind};
+use crate::shaders::{
+    BlockKernel, Extent, Frames, GatheredKind, Kernel, MarchPurpose, MixedPurpose, Purpose, TexelKind,
+};
 
 /// A struct as (size, fields); a field as (name, offset, size).
 type Layout = (usize, Vec<(String, usize, usize)>);
@@ -101,6 +104,27 @@ fn rust_layouts() -> BTreeMap<&'static str, Layout> {
             clip_offset
         }),
         layout!(Display { background, padding_0 }),
+        layout!(BlockFrame {
+            size,
+            num_blocks,
+            along,
+            here,
+            shift,
+            is_still,
+            reference_blocks,
+            first_layer,
+            first_cell,
+            most_layers,
+            most_cells,
+            reference_first_layer,
+            reference_first_cell,
+            depth,
+            opacity,
+            color,
+            picture,
+            chroma,
+            padding_0
+        }),
     ]
     .into_iter()
     .collect()
@@ -130,10 +154,20 @@ const PLAIN: MarchPurpose = MarchPurpose {
     mixed: None,
 };
 
+const BLOCK_KERNELS: [BlockKernel; 6] = [
+    BlockKernel::Tiles,
+    BlockKernel::Borders { is_below: false },
+    BlockKernel::Borders { is_below: true },
+    BlockKernel::Factors,
+    BlockKernel::Tables,
+    BlockKernel::Lists,
+];
+
 const GATHERED: [GatheredKind; 3] = [GatheredKind::Pieces, GatheredKind::Steps, GatheredKind::Seen];
 
 fn all_kernels() -> Vec<Kernel> {
     let mut kernels = vec![Kernel::Compact, Kernel::EmptySpace, Kernel::Upscale];
+    kernels.extend(BLOCK_KERNELS.map(Kernel::Blocks));
     for purpose in all_purposes() {
         kernels.extend([Kernel::RaycastCompute(purpose), Kernel::RaycastView(purpose, true)]);
     }
@@ -210,8 +244,11 @@ fn rust_constants(text: &str) -> BTreeMap<String, f64> {
         let (name, rest) = line.split_once(':')?;
         let (ty, value) = rest.trim_end_matches(';').split_once('=')?;
         let value = value.trim().replace('_', "");
-        let value =
-            if ty.trim() == "f32" { f64::from(value.parse::<f32>().ok()?) } else { value.parse().ok()? };
+        let value = match value.split_once(" << ") {
+            Some((one, bits)) => one.parse::<f64>().ok()? * 2f64.powi(bits.parse().ok()?),
+            None if ty.trim() == "f32" => f64::from(value.parse::<f32>().ok()?),
+            None => value.parse().ok()?,
+        };
         Some((name.trim().to_owned(), value))
     };
     text.lines().filter_map(parse_line).collect()
@@ -247,6 +284,23 @@ const TWINS: [&str; 26] = [
     include_str!("../../core/src/kernels/layering/parts/forms.rs"),
 ];
 
+/// The Rust twins of the kernels that decode blocks. Some names mean other things there than in the others.
+const BLOCK_TWINS: [&str; 13] = [
+    include_str!("blocks.rs"),
+    include_str!("../../core/src/layer.rs"),
+    include_str!("../../core/src/codec/blocks/model.rs"),
+    include_str!("../../core/src/codec/blocks/scales.rs"),
+    include_str!("../../core/src/codec/blocks/entropy.rs"),
+    include_str!("../../core/src/codec/blocks/tables.rs"),
+    include_str!("../../core/src/codec/blocks/motion.rs"),
+    include_str!("../../core/src/codec/blocks/tile.rs"),
+    include_str!("../../core/src/codec/blocks/residual.rs"),
+    include_str!("../../core/src/codec/blocks/corrections.rs"),
+    include_str!("../../core/src/codec/blocks/smooth.rs"),
+    include_str!("../../core/src/codec/blocks/coding/layer.rs"),
+    include_str!("../../core/src/codec/blocks/device.rs"),
+];
+
 /// Constants of the shaders that the twins express otherwise.
 const SHADER_ONLY: [&str; 24] = [
     "HIDES",
@@ -273,6 +327,44 @@ const SHADER_ONLY: [&str; 24] = [
     "LIST_CELLS",
     "NOTHING",
     "FAR",
+];
+
+/// The same of the kernels that decode blocks. Tables and contexts have tests of their own.
+const BLOCK_SHADER_ONLY: [&str; 34] = [
+    "WORDS_OF_BLOCK",
+    "WORDS_OF_PICTURE",
+    "NUM_LOGS",
+    "NUM_BELOWS",
+    "CODES_OF_LOGS",
+    "LOGS_OF_MANTISSAS",
+    "LOGS_OF_SUMS",
+    "PER_ROOTS",
+    "WAVES",
+    "ZIGZAG",
+    "ALPHAS",
+    "HALVES_OF_TAU",
+    "NO_CLASS",
+    "SIGNED",
+    "TOO_FAR",
+    "WORDS_OF_NOTE",
+    "OWN",
+    "NOWHERE",
+    "FRESH",
+    "LEFT",
+    "ABOVE",
+    "KEPT",
+    "COPIED",
+    "NUM_LAYERS_SO_FAR",
+    "NUM_CELLS_SO_FAR",
+    "NUM_DAMAGED",
+    "NUM_DEPTH_CONTEXTS",
+    "NEVER",
+    "NOTHING",
+    "IS_THERE",
+    "ONE",
+    "ONE_SQUARED",
+    "BLOCK",
+    "HALF_SUBNORMAL",
 ];
 
 /// The same with the constants of a pipeline in their places: each that the text asks for, and no other.
@@ -369,24 +461,31 @@ fn a_shifted_or_renamed_field_is_noticed() {
     }
 }
 
+/// The constants of all texts, which agree on them.
+fn constants_of(texts: &[&str]) -> BTreeMap<String, f64> {
+    let mut all = BTreeMap::new();
+    for (name, value) in texts.iter().flat_map(|text| rust_constants(text)) {
+        assert!(all.insert(name.clone(), value).is_none_or(|v| v == value), "two values of {name} in core");
+    }
+    all
+}
+
 #[test]
 fn shared_constants_have_the_values_of_the_twins() {
-    let mut twin = BTreeMap::new();
-    for text in TWINS {
-        for (name, value) in rust_constants(text) {
-            assert!(
-                twin.insert(name.clone(), value).is_none_or(|v| v == value),
-                "two values of {name} in core"
-            );
-        }
-    }
+    let mut twin = constants_of(&TWINS);
+    let mut of_blocks = constants_of(&BLOCK_TWINS);
+    of_blocks.extend(context_places().map(|(name, place)| (name.to_owned(), f64::from(place))));
     for compositing in [Compositing::Over, Compositing::Greatest, Compositing::Mean] {
         twin.insert(format!("BY_{compositing:?}").to_uppercase(), f64::from(compositing as u32));
     }
     let mut compared = 0;
     for kernel in all_kernels() {
         let constants = wgsl_constants(&check(&kernel.source()).unwrap());
-        for (name, value) in constants.iter().filter(|(name, _)| !SHADER_ONLY.contains(&name.as_str())) {
+        let (twin, others): (_, &[&str]) = match kernel {
+            Kernel::Blocks(_) => (&of_blocks, &BLOCK_SHADER_ONLY),
+            _ => (&twin, &SHADER_ONLY),
+        };
+        for (name, value) in constants.iter().filter(|(name, _)| !others.contains(&name.as_str())) {
             let expected =
                 twin.get(name).unwrap_or_else(|| panic!("no constant {name} in the twins of {kernel:?}"));
             // Bricks and bins are integers on one side and floats on the other; all are exact as f32.
@@ -409,6 +508,8 @@ fn workgroups_are_those_that_the_host_dispatches() {
             let expected = match (kernel, entry.stage) {
                 (_, naga::ShaderStage::Vertex | naga::ShaderStage::Fragment) => continue,
                 (Kernel::Compact, _) => [BLOCK, 1, 1],
+                (Kernel::Blocks(BlockKernel::Lists), _) => [BLOCK, 1, 1],
+                (Kernel::Blocks(_), _) => [LANES_OF_BLOCK, 1, 1],
                 (Kernel::Gather(..), _) => [RAYS_IN_GROUP, 1, 1],
                 _ if entry.name == "choose" => [1, 1, 1],
                 (Kernel::RaycastCompute(_) | Kernel::Generate(..), _) => [WORKGROUP_SIDE, GROUP_HEIGHT, 1],

@@ -116,6 +116,48 @@ impl From<Gathered> for GatheredKind {
     }
 }
 
+/// A kernel that decodes frames in blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BlockKernel {
+    /// Entry point `tiles`: blocks from their bits.
+    Tiles,
+    /// Entry point `smooth_borders`: those to lower blocks, or to blocks on the right.
+    Borders { is_below: bool },
+    /// Entry point `factors`: the corrected colours of cells.
+    Factors,
+    /// Entry point `make_tables`: the probabilities that follow from a frame.
+    Tables,
+    /// Entry points `sum_blocks`, `scan_blocks`, `write_lists`: lists from blocks.
+    Lists,
+}
+
+impl BlockKernel {
+    fn parts(self) -> &'static [&'static str] {
+        match self {
+            Self::Tiles => &[
+                BLOCK_FRAME,
+                BLOCK_NUMBERS,
+                BLOCK_ROOTS,
+                BLOCK_SCALES,
+                BLOCK_ENTROPY,
+                BLOCK_SYNTAX,
+                BLOCK_MOTION,
+                BLOCK_FETCH,
+                BLOCK_PLANES,
+                BLOCK_LAYERS,
+                BLOCK_CORRECTIONS,
+                BLOCK_TILE,
+            ],
+            Self::Borders { .. } => &[BLOCK_FRAME, BLOCK_ROOTS, BLOCK_SMOOTH],
+            Self::Factors => &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_FACTORS],
+            Self::Tables => &[BLOCK_TABLES],
+            Self::Lists => {
+                &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_SCALES, TYPES, LAYER, BLOCK_LISTS, OFFSETS]
+            }
+        }
+    }
+}
+
 /// A variant of a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kernel {
@@ -130,16 +172,8 @@ pub(crate) enum Kernel {
     Compact,
     /// Entry point `empty_space`.
     EmptySpace,
-    /// Entry point `tiles`: the blocks of a frame from their bits.
-    BlockTiles,
-    /// Entry point `smooth_borders`: those to lower blocks, or to blocks on the right.
-    BlockBorders { is_below: bool },
-    /// Entry point `factors`: the corrected colours of cells.
-    BlockFactors,
-    /// Entry point `make_tables`: the probabilities that follow from a frame.
-    BlockTables,
-    /// Entry points `sum_blocks`, `scan_blocks`, `write_lists`: the lists of a frame from its blocks.
-    BlockLists,
+    /// What decodes frames in blocks.
+    Blocks(BlockKernel),
     /// Entry point `raycast`.
     RaycastCompute(Purpose),
     /// Entry points `view_vertex`, `view_fragment`, and whether the shader encodes sRGB.
@@ -158,7 +192,9 @@ impl Kernel {
                 constants.push(("ENCODES_SRGB", f64::from(u8::from(encodes_srgb))));
                 constants
             }
-            Self::BlockBorders { is_below } => vec![("IS_BELOW", f64::from(u8::from(is_below)))],
+            Self::Blocks(BlockKernel::Borders { is_below }) => {
+                vec![("IS_BELOW", f64::from(u8::from(is_below)))]
+            }
             _ => Vec::new(),
         }
     }
@@ -182,26 +218,7 @@ impl Kernel {
                 return [&[&text, crossings, &is_mean, BUDGET, GENERATE, STREAM][..], list].concat().concat();
             }
             Self::Compact => &[TYPES, COMPACT, OFFSETS],
-            Self::BlockTiles => &[
-                BLOCK_FRAME,
-                BLOCK_NUMBERS,
-                BLOCK_ROOTS,
-                BLOCK_SCALES,
-                BLOCK_ENTROPY,
-                BLOCK_SYNTAX,
-                BLOCK_MOTION,
-                BLOCK_FETCH,
-                BLOCK_PLANES,
-                BLOCK_LAYERS,
-                BLOCK_CORRECTIONS,
-                BLOCK_TILE,
-            ],
-            Self::BlockBorders { .. } => &[BLOCK_FRAME, BLOCK_ROOTS, BLOCK_SMOOTH],
-            Self::BlockFactors => &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_FACTORS],
-            Self::BlockTables => &[BLOCK_TABLES],
-            Self::BlockLists => {
-                &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_SCALES, TYPES, LAYER, BLOCK_LISTS, OFFSETS]
-            }
+            Self::Blocks(kernel) => kernel.parts(),
             Self::Upscale => &[TYPES, PICTURE, UPSCALE],
             Self::EmptySpace => &[TYPES, SPACE, LAYER, EMPTY_SPACE, WAY, EMPTY_SPACE_BUILD],
             Self::RaycastCompute(Purpose { frames, .. }) => {

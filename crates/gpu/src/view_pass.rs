@@ -21,7 +21,7 @@ use crate::combine::FramesOnGpu;
 use crate::device::{CasterLayouts, EMPTY_SPACE, UNIFORM, bind, buffer, compute_pipeline, layout};
 use crate::error::{GpuError, scoped};
 use crate::gpu_types::{Basis, Display};
-use crate::raycast::GridBuilder;
+use crate::raycast::{GridBuilder, Lists};
 use crate::shaders::{Kernel, Purpose};
 use crate::upscale::Upscale;
 use crate::warm_up::{Draw, Pipeline, WarmUp};
@@ -141,7 +141,9 @@ impl ViewPass {
     ) -> Result<(), GpuError> {
         let frames = &mut self.frames;
         let slot = slot.min(NUM_SLOTS - 1);
-        scoped(device, "uploading a layered frame", || frames.upload(device, queue, slot, frame, bounds))
+        scoped(device, "uploading a layered frame", || {
+            frames.upload(device, queue, slot, &Lists::Memory(frame), bounds)
+        })
     }
 
     /// Selects the displayed slots: the newest frame first, then older ones of the same volume and look for what it

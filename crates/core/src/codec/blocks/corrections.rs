@@ -126,7 +126,7 @@ fn composite_roots_any(of: CellsOf<'_>, found: &mut [BlockNumbers; 3]) {
         }
     }
     for found in found.as_flattened_mut() {
-        *found = root_of(*found).max(LEAST);
+        *found = root_of(*found).max(LEAST_ROOT);
     }
 }
 
@@ -160,10 +160,8 @@ fn multiply_any([_, _, _, y, co, cg]: &mut CellPlanes, [of_r, of_g, of_b]: &[Blo
 /// The picture of a tile's corrected blocks, as roots of red, green and blue.
 #[derive(Clone, Debug, Default)]
 pub(in crate::codec) struct TilePicture {
-    across: usize,
-    /// Index in `blocks` for each block of the tile; [`NONE`] for one without corrections.
-    places: Vec<u32>,
-    blocks: Vec<CorrectedBlock>,
+    /// The corrected blocks, with their index in the tile.
+    blocks: Vec<(usize, Box<CorrectedBlock>)>,
 }
 
 #[derive(Clone, Debug)]
@@ -180,90 +178,70 @@ impl TilePicture {
     /// What a tile shows, and what it should show.
     pub(super) fn new(tile: &FrameTile, corrections: &Corrections) -> Self {
         let corrected = corrections.places.iter().enumerate().filter_map(|(block, place)| {
-            Some(CorrectedBlock::new(tile.cells_of(block), corrections.planes.get(*place as usize)?))
+            let differences = corrections.planes.get(*place as usize)?;
+            Some((block, Box::new(CorrectedBlock::new(tile.cells_of(block), differences))))
         });
-        Self { across: tile.across, blocks: corrected.collect(), places: corrections.places.clone() }
+        Self { blocks: corrected.collect() }
     }
 
     /// Number of corrected blocks.
     pub(super) fn num_blocks(&self) -> usize {
         self.blocks.len()
     }
-
-    fn place(&self, block: usize) -> Option<usize> {
-        self.places.get(block).filter(|place| **place != NONE).map(|place| *place as usize)
-    }
-
-    /// Smooths the borders of a kind between the tile's own blocks.
-    fn smooth_inside(&mut self, border: Border, steps: &[i32; 3]) {
-        let back = if border == Border::Beside { 1 } else { self.across };
-        for block in back..self.places.len() {
-            if border == Border::Beside && block % self.across == 0 {
-                continue;
-            }
-            // Blocks follow each other as their places do.
-            if let (Some(first), Some(second)) = (self.place(block - back), self.place(block))
-                && let Ok([first, second]) = self.blocks.get_disjoint_mut([first, second])
-            {
-                smooth_between(border, first, second, steps);
-            }
-        }
-    }
-
-    /// Smooths the borders to the next tile on the right or below.
-    fn smooth_to(&mut self, border: Border, next: &mut Self, steps: &[i32; 3]) {
-        if self.blocks.is_empty() || next.blocks.is_empty() {
-            return;
-        }
-        let (first, second, num) = match border {
-            Border::Beside => {
-                let rows = self.places.len() / self.across;
-                (self.across - 1, [0, next.across], rows)
-            }
-            Border::Below => (self.places.len() - self.across, [0, 1], self.across),
-        };
-        let step = if border == Border::Beside { self.across } else { 1 };
-        for i in 0..num {
-            if let (Some(a), Some(b)) = (self.place(first + i * step), next.place(second[0] + i * second[1]))
-            {
-                smooth_between(border, &mut self.blocks[a], &mut next.blocks[b], steps);
-            }
-        }
-    }
-
-    /// Multiplies the colours of a tile's lists so that they composite to what they should.
-    fn apply(&self, tile: &mut FrameTile) {
-        for block in 0..self.places.len() {
-            let Some(place) = self.place(block) else { continue };
-            let CorrectedBlock { found, wanted, .. } = &self.blocks[place];
-            let mut factors = [[0; BLOCK_LISTS]; 3];
-            factors_of(wanted, found, &mut factors);
-            tile.change(block, |cells| multiply(cells, &factors));
-        }
-    }
 }
 
 /// Multiplies the colours of a frame's cells so that every list composites to what it should. There is a picture for
-/// each tile, row by row, `across` to a row. `steps` are those of the corrections' Y, Co and Cg, by which borders between
-/// corrected blocks are smoothed: first those between blocks side by side.
-pub(super) fn correct(tiles: &mut [FrameTile], pictures: &mut [TilePicture], across: usize, steps: [i32; 3]) {
-    pictures.par_chunks_mut(across.max(1)).for_each(|row| {
-        row.iter_mut().for_each(|picture| picture.smooth_inside(Border::Beside, &steps));
+/// each tile. The frame has so many columns and rows of blocks. `steps` are those of the corrections' Y, Co and Cg, by
+/// which borders between corrected blocks are smoothed: first those between blocks side by side.
+pub(super) fn correct(
+    tiles: &mut [FrameTile],
+    pictures: &mut [TilePicture],
+    [across, down]: [usize; 2],
+    steps: [i32; 3],
+) {
+    let mut blocks: Vec<Option<Box<CorrectedBlock>>> = Vec::new();
+    blocks.resize_with(across * down, || None);
+    for (tile, picture) in tiles.iter().zip(pictures) {
+        for (block, corrected) in picture.blocks.drain(..) {
+            if let Some(place) = blocks.get_mut(index_of(tile, block, across)) {
+                *place = Some(corrected);
+            }
+        }
+    }
+    blocks.par_chunks_mut(across.max(1)).for_each(|row| {
         for x in 1..row.len() {
-            if let [first, second] = &mut row[x - 1..=x] {
-                first.smooth_to(Border::Beside, second, &steps);
+            if let [Some(left), Some(right)] = &mut row[x - 1..=x] {
+                smooth_between(Border::Beside, left, right, &steps);
             }
         }
     });
-    pictures.par_iter_mut().for_each(|picture| picture.smooth_inside(Border::Below, &steps));
-    let mut rows: Vec<&mut [TilePicture]> = pictures.chunks_mut(across.max(1)).collect();
-    for y in 1..rows.len() {
-        if let [above, below] = &mut rows[y - 1..=y] {
-            let pairs = above.par_iter_mut().zip(below.par_iter_mut());
-            pairs.for_each(|(first, second)| first.smooth_to(Border::Below, second, &steps));
-        }
+    // Every second border between rows, and then the others. No sample is near two of them.
+    for first in [0, across] {
+        let Some(rows) = blocks.get_mut(first..) else { continue };
+        rows.par_chunks_mut((2 * across).max(1)).for_each(|two| {
+            let (upper, lower) = two.split_at_mut(across.min(two.len()));
+            for pair in upper.iter_mut().zip(lower) {
+                if let (Some(above), Some(below)) = pair {
+                    smooth_between(Border::Below, above, below, &steps);
+                }
+            }
+        });
     }
-    tiles.par_iter_mut().zip(pictures).for_each(|(tile, picture)| picture.apply(tile));
+    tiles.par_iter_mut().for_each(|tile| {
+        for block in 0..tile.blocks.len() {
+            if let Some(Some(corrected)) = blocks.get(index_of(tile, block, across)) {
+                let mut factors = [[0; BLOCK_LISTS]; 3];
+                factors_of(&corrected.wanted, &corrected.found, &mut factors);
+                tile.change(block, |cells| multiply(cells, &factors));
+            }
+        }
+    });
+}
+
+/// Index in the frame of a block of a tile.
+fn index_of(tile: &FrameTile, block: usize, across: usize) -> usize {
+    let [x, y] = tile.place.in_frame(block % tile.place.across, block / tile.place.across);
+    y * across + x
 }
 
 impl CorrectedBlock {
@@ -295,7 +273,7 @@ const FACTOR_BITS: u32 = 14;
 /// they would look wrong from another pose.
 const MAX_FACTOR: i32 = 2;
 /// Least root of a list: that of a colour of 10⁻⁵.
-const LEAST: i32 = 104;
+const LEAST_ROOT: i32 = 104;
 const NONE: u32 = u32::MAX;
 
 #[cfg(test)]
@@ -384,7 +362,7 @@ mod tests {
     /// The colours of all blocks when the frame is cut into tiles.
     fn shown(columns: &[usize], rows: &[usize], steps: [i32; 3]) -> Vec<Vec<[u16; 3]>> {
         let (mut tiles, mut pictures) = corrected(columns, rows);
-        correct(&mut tiles, &mut pictures, columns.len(), steps);
+        correct(&mut tiles, &mut pictures, [ACROSS, ROWS], steps);
         colors(&tiles, columns, rows)
     }
 

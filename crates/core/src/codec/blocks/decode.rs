@@ -78,9 +78,8 @@ pub(in crate::codec) fn decode_band<'a>(
     let motion = reference.map(|r| (r, ReferenceMotion::new(&header.frame.camera, &r.header.camera)));
     let num_cells = reference.map_or(0, Reference::cells_per_tile);
     let chunk = ChunkCoding { steps: head.steps, tables, motion, num_cells };
-    let places = head.tiles(&header.frame, header.index.0.into());
-    let streams = read_streams(coded, places.len())?;
-    let (tiles, tally) = chunk.decode_all(streams.into_iter().zip(places).enumerate().collect())?;
+    let streams = read_streams(coded, &head.tiles(&header.frame, header.index.0.into()))?;
+    let (tiles, tally) = chunk.decode_all(streams.into_iter().enumerate().collect())?;
     Ok(DecodedBand { head, tiles, tally })
 }
 
@@ -93,25 +92,22 @@ struct ChunkCoding<'a> {
     num_cells: usize,
 }
 
-/// The number of a tile, its stream if it has one, and its place.
-type TileStream<'a> = (usize, (Option<&'a [u8]>, TilePlace));
+/// The number of a stream, the place of its blocks, and its bytes.
+type TileStream<'a> = (usize, (TilePlace, &'a [u8]));
 
 impl ChunkCoding<'_> {
-    /// Decodes all tiles of a chunk, in the order of their numbers. The tally has the bits of all.
+    /// Decodes all streams of a chunk, in the order of their numbers. The tally has the bits of all.
     fn decode_all(&self, mut streams: Vec<TileStream<'_>>) -> Result<(Vec<CodedTile>, Tally), CodecError> {
-        streams.sort_by_key(|(_, (stream, _))| Reverse(stream.map(<[u8]>::len)));
+        streams.sort_by_key(|(_, (_, stream))| Reverse(stream.len()));
         let room = Room::new(MAX_CHUNK_SEGMENTS);
         // Each thread takes one at a time, so no thread has a long one left at the end. Each has a tally of its own.
         let nothing = || Ok((Vec::new(), Tally::default()));
         let first = || (nothing(), TileScratch::default());
         let decoded = streams.into_iter().par_bridge().fold(
             first,
-            |(all, mut scratch): (Result<(Vec<_>, Tally), CodecError>, _), (index, (stream, place))| {
-                let all = all.and_then(|(mut tiles, mut tally)| {
-                    let mut tile = CodedTile::default();
-                    if let Some(stream) = stream {
-                        (tile, tally) = self.decode(stream, place, tally, &mut scratch)?;
-                    }
+            |(all, mut scratch): (Result<(Vec<_>, Tally), CodecError>, _), (index, (place, stream))| {
+                let all = all.and_then(|(mut tiles, tally)| {
+                    let (tile, tally) = self.decode(stream, place, tally, &mut scratch)?;
                     room.take(&tile.tile, tile.picture.num_blocks())?;
                     tiles.push((index, tile));
                     Ok((tiles, tally))

@@ -5,10 +5,11 @@ use super::super::error::CodecError;
 use super::super::header::HEADER_BYTES;
 use super::entropy::Tables;
 use super::head::{Head, read_streams};
-use super::model::{blocks_along, lists_of, tiles_along};
+use super::model::{blocks_along, lists_of};
 use super::motion::ReferenceMotion;
 use super::reference::Reference;
 use super::scales::scales;
+use super::syntax::Contexts;
 use super::tile::{NO_CELLS, Planes};
 use super::transform::{WAVES, ZIGZAG};
 use crate::camera::Camera;
@@ -133,8 +134,11 @@ pub struct DevicePayload {
     /// The probabilities of all contexts, two in a word, once for each chunk; empty for a predicted frame, which has
     /// those of its reference.
     pub probabilities: Vec<u32>,
-    /// Three words for each tile: the first word of 16 bits of its stream, their number, and the first word of its
-    /// probabilities. Then the streams.
+    /// Number of streams.
+    pub num_streams: usize,
+    /// Five words for each stream: the first of its words of 16 bits, their number, the first word of its
+    /// probabilities; column and row of its first block, and columns and rows of blocks, two in a word. Then the
+    /// streams.
     pub words: Vec<u32>,
 }
 
@@ -153,8 +157,8 @@ impl DevicePayload {
             if head.reference.is_none() {
                 probabilities.extend(pairs(&Tables::read(&mut coded)?.ones));
             }
-            let num_tiles = head.tiles(&header.frame, header.index.0.into()).len();
-            streams.extend(read_streams(coded, num_tiles)?.into_iter().map(|stream| (stream, tables)));
+            let places = head.tiles(&header.frame, header.index.0.into());
+            streams.extend(read_streams(coded, &places)?.into_iter().map(|stream| (stream, tables)));
             heads.push((header, head));
         }
         let Some(&(first, head)) = heads.first() else {
@@ -164,15 +168,17 @@ impl DevicePayload {
             return Err(header.contradicts("other steps, predictions or bands"));
         }
         let mut words = Vec::new();
-        let mut at = 6 * streams.len();
-        for (stream, tables) in &streams {
-            let num_words = stream.map_or(0, |bytes| bytes.len() / 2);
-            words.extend([at as u32, num_words as u32, *tables]);
+        let mut at = 2 * WORDS_OF_STREAM * streams.len();
+        for ((place, stream), tables) in &streams {
+            let num_words = stream.len() / 2;
+            let two = |[a, b]: [usize; 2]| a as u32 | (b as u32) << 16;
+            let blocks = [two(place.first), two([place.across, place.num_rows])];
+            words.extend([at as u32, num_words as u32, *tables, blocks[0], blocks[1]]);
             at += num_words;
         }
         let halves: Vec<u16> = streams
             .iter()
-            .flat_map(|(stream, _)| stream.unwrap_or_default().as_chunks().0)
+            .flat_map(|((_, stream), _)| stream.as_chunks().0)
             .map(|bytes| u16::from_le_bytes(*bytes))
             .collect();
         words.extend(pairs(&halves));
@@ -182,14 +188,9 @@ impl DevicePayload {
             reference: head.reference,
             steps: [steps.depth, steps.opacity, steps.color, steps.picture, steps.chroma],
             probabilities,
+            num_streams: streams.len(),
             words,
         })
-    }
-
-    /// Number of tiles.
-    pub fn num_tiles(&self) -> usize {
-        let intrinsics = self.header.camera.intrinsics;
-        tiles_along(intrinsics.width) * tiles_along(intrinsics.height)
     }
 }
 
@@ -228,6 +229,33 @@ pub fn scale_words() -> Vec<u32> {
     words
 }
 
+/// The first contexts of each kind, by their names in `shaders/blocks/syntax.wgsl`.
+pub fn context_places() -> [(&'static str, u16); 19] {
+    let c = Contexts::all();
+    [
+        ("HAS_PLANES", c.has_planes[0][0]),
+        ("IS_COPIED", c.is_copied[0]),
+        ("IS_KEPT", c.is_kept[0]),
+        ("IS_MERGED", c.is_merged[0]),
+        ("IS_ABOVE", c.is_above[0]),
+        ("NUM_LAYERS", c.num_layers[0][0][0]),
+        ("TOUCHES", c.touches[0]),
+        ("DEPTH", c.depth[0][0].is_not_zero),
+        ("SLOPE", c.slope[0][0].is_not_zero),
+        ("HAS_MATTER", c.has_matter[0][0]),
+        ("IS_FULL", c.is_full[0][0]),
+        ("IS_SAME", c.is_same[0][0]),
+        ("OCCUPANCY", c.occupancy[0][0]),
+        ("HAS_CORRECTION", c.has_correction[0]),
+        ("IS_ZERO", c.is_zero[0][0][0]),
+        ("CLASS", c.class[0][0][0][0]),
+        ("REST", c.rest[0][0]),
+        ("SIZE", c.size[0][0][0][0]),
+        ("ESCAPE", c.escape.length[0]),
+    ]
+    .map(|(name, context)| (name, context.0))
+}
+
 /// The probabilities of a frame of which nothing is known, two in a word.
 pub fn prior_words() -> Vec<u32> {
     pairs(&Tables::prior().ones)
@@ -247,3 +275,5 @@ pub const HAS_CELLS: u32 = 1 << 31;
 pub const WORDS_OF_LAYER: usize = 10;
 /// See [`WORDS_OF_LAYER`].
 pub const WORDS_OF_CELL: usize = 3;
+/// Words in front of the streams for each.
+pub const WORDS_OF_STREAM: usize = 5;

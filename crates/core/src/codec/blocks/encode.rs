@@ -11,7 +11,7 @@ use super::super::limits::{MAX_CHUNK_SEGMENTS, MAX_FRAME_LISTS};
 use super::bands;
 use super::coding::{BlockSource, Offered, Origin, Plan, PlaneCode, TileCoder, TileScratch};
 use super::corrections::{self, TilePicture, composite_roots};
-use super::entropy::{BitRecorder, CodedBit, Tables, Tally, encoded};
+use super::entropy::{BitRecorder, Tables, Tally, encoded};
 use super::head::{Head, Room, write_streams};
 use super::layer_search::{BlockLists, LayerSearch};
 use super::model::{BLOCK, BLOCK_LISTS, MAX_LAYERS, PlaneFit, TILE, TilePlace, tiles_along};
@@ -65,6 +65,8 @@ pub(in crate::codec) struct BlocksPlan<'a> {
     head: Head,
     num_bands: u8,
     cost: LayerCost,
+    /// About the decisions that a segment takes.
+    bits_per_segment: f32,
     reference: Option<(&'a Reference, ReferenceMotion)>,
 }
 
@@ -107,7 +109,8 @@ impl<'a> BlocksPlan<'a> {
         let borders = bands::borders(work, camera.intrinsics.width, num_bands);
         let head = Head { steps, reference: reference.map(Reference::frame), borders };
         let reference = reference.map(|r| (r, ReferenceMotion::new(&camera, &r.header.camera)));
-        Ok(Self { header, head, num_bands, cost, reference })
+        let bits_per_segment = bits_per_segment(settings.quality, reference.is_some());
+        Ok(Self { header, head, num_bands, cost, bits_per_segment, reference })
     }
 
     pub(in crate::codec) fn num_bands(&self) -> usize {
@@ -147,12 +150,19 @@ impl<'a> BlocksPlan<'a> {
         wanted: Wanted<'_>,
     ) -> Result<EncodedBand, CodecError> {
         let places = self.head.tiles(&self.header, band);
-        let mut by_work: Vec<_> = places.iter().enumerate().collect();
-        by_work.sort_by_cached_key(|(_, place)| std::cmp::Reverse(segments(frame, place)));
+        let mut by_work: Vec<_> = places.iter().map(|place| self.parts(frame, place)).enumerate().collect();
+        let num_parts: Vec<usize> = by_work.iter().map(|(_, parts)| parts.len()).collect();
+        let mut by_work: Vec<_> = by_work
+            .drain(..)
+            .flat_map(|(tile, parts)| parts.into_iter().enumerate().map(move |(n, part)| ((tile, n), part)))
+            .filter_map(|(index, part)| part.map(|(place, num_segments)| (index, place, num_segments)))
+            .collect();
+        by_work.sort_by_key(|(.., num_segments)| std::cmp::Reverse(*num_segments));
         let room = Room::new(MAX_CHUNK_SEGMENTS);
         // Each thread takes one at a time, so no thread has a long one left at the end.
-        let made = by_work.into_iter().par_bridge().map_init(Default::default, |scratch, (index, place)| {
-            let made = self.encode_tile(frame, *place, wanted, scratch)?;
+        let by_work = by_work.into_iter().par_bridge();
+        let made = by_work.map_init(Default::default, |scratch, (index, place, num_segments)| {
+            let made = self.encode_tile(frame, place, num_segments, wanted, scratch)?;
             room.take(&made.coded.tile, made.coded.picture.num_blocks())?;
             Ok((index, made))
         });
@@ -171,26 +181,43 @@ impl<'a> BlocksPlan<'a> {
                 &changed
             }
         };
-        let stream = |bits: &[CodedBit]| if bits.is_empty() { Vec::new() } else { encoded(bits, tables) };
-        let streams: Vec<Vec<u8>> = made.par_iter().map(|(_, tile)| stream(&tile.recorder.bits)).collect();
-        write_streams(&streams, &mut payload);
+        let streams: Vec<_> =
+            made.par_iter().map(|(index, tile)| (*index, encoded(&tile.recorder.bits, tables))).collect();
+        let mut of_tiles: Vec<Vec<Vec<u8>>> = num_parts.into_iter().map(|num| vec![vec![]; num]).collect();
+        for ((tile, part), stream) in streams {
+            of_tiles[tile][part] = stream;
+        }
+        write_streams(&of_tiles, &mut payload);
         let (tiles, notes) = made.into_iter().map(|(_, tile)| (tile.coded, tile.notes)).unzip();
         Ok(EncodedBand { payload, tiles, notes, tally })
     }
 
-    /// Encodes a tile; one without matter has no bits.
+    /// What of a tile has a stream of its own, with the number of its segments: nothing, all of it, or its quarters if
+    /// these have some. So no stream takes much longer to decode than others.
+    fn parts(&self, frame: &LayeredFrame, place: &TilePlace) -> Vec<Option<(TilePlace, usize)>> {
+        let with_segments = |place: TilePlace| {
+            let num_segments = segments(frame, &place);
+            (num_segments > 0).then_some((place, num_segments))
+        };
+        match with_segments(*place) {
+            None => Vec::new(),
+            Some((_, num)) if num as f32 * self.bits_per_segment > MOST_BITS => {
+                (0..4).map(|quarter| place.quarter(quarter).and_then(with_segments)).collect()
+            }
+            all => vec![all],
+        }
+    }
+
+    /// Encodes a tile or a part of one.
     fn encode_tile(
         &self,
         frame: &LayeredFrame,
         place: TilePlace,
+        num_segments: usize,
         wanted: Wanted<'_>,
         (planner, coder): &mut (PlannerScratch, TileScratch),
     ) -> Result<EncodedTile, CodecError> {
         let Self { cost, reference, head: Head { steps, .. }, .. } = *self;
-        let num_segments = segments(frame, &place);
-        if num_segments == 0 {
-            return Ok(Default::default());
-        }
         if !wanted() {
             return Err(CodecError::Abandoned);
         }
@@ -214,6 +241,12 @@ impl<'a> BlocksPlan<'a> {
         }
         Ok(EncodedTile { coded: CodedTile { tile, picture }, notes, recorder })
     }
+}
+
+/// About the decisions that a segment takes at a quality, by measurement.
+fn bits_per_segment(quality: u8, is_predicted: bool) -> f32 {
+    let alone = 0.5 + 0.02 * f32::from(quality);
+    if is_predicted { 0.6 * alone } else { alone }
 }
 
 /// Number of segments in a tile.
@@ -425,6 +458,8 @@ impl BlockPlanner<'_> {
 /// A band has at most so many lists, so that its chunk may hold all of their segments.
 const MOST_LISTS_OF_BAND: usize = MAX_CHUNK_SEGMENTS / 8;
 const NO_GOAL: u32 = u32::MAX;
+/// A stream of more decisions is divided. A GPU takes about .1 µs for each.
+const MOST_BITS: f32 = 8000.0;
 /// A copied block may be off by this part of the step of corrections on average.
 const SAME: f32 = 0.75;
 /// Allowed ratio of the former cost of a layer to the present one.

@@ -78,12 +78,23 @@ pub fn reference_named(bytes: &[u8]) -> Option<FrameId> {
     named(bytes.get(HEADER_BYTES..)?.first_chunk()?).ok()?
 }
 
-/// Writes the streams of a band's tiles: a bit for each tile that has one, the words of each, and the streams.
-pub(super) fn write_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
-    out.extend(streams.chunks(8).map(|eight| {
-        eight.iter().enumerate().fold(0u8, |bits, (i, stream)| bits | u8::from(!stream.is_empty()) << i)
-    }));
-    for stream in streams.iter().filter(|stream| !stream.is_empty()) {
+/// Writes the streams of a band's tiles: which there are, the words of each, and the streams. A tile has none, one, or
+/// one for each of its quarters, of which some are empty.
+pub(super) fn write_streams(tiles: &[Vec<Vec<u8>>], out: &mut Vec<u8>) {
+    let mut bits = Vec::new();
+    for streams in tiles {
+        bits.push(!streams.is_empty());
+        if !streams.is_empty() {
+            bits.push(streams.len() > 1);
+        }
+        if streams.len() > 1 {
+            bits.extend(streams.iter().map(|stream| !stream.is_empty()));
+        }
+    }
+    let byte = |eight: &[bool]| eight.iter().enumerate().fold(0, |byte, (i, bit)| byte | u8::from(*bit) << i);
+    out.extend(bits.chunks(8).map(byte));
+    let streams = || tiles.iter().flatten().filter(|stream| !stream.is_empty());
+    for stream in streams() {
         let mut num_words = stream.len() / 2;
         while num_words >= 0x80 {
             out.push(num_words as u8 | 0x80);
@@ -91,20 +102,43 @@ pub(super) fn write_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
         }
         out.push(num_words as u8);
     }
-    streams.iter().for_each(|stream| out.extend(stream));
+    streams().for_each(|stream| out.extend(stream));
 }
 
-/// Reads what [`write_streams`] writes for so many tiles: the stream of each tile that has one.
-pub(super) fn read_streams(bytes: &[u8], num_tiles: usize) -> Result<Vec<Option<&[u8]>>, CodecError> {
+/// Reads what [`write_streams`] writes for tiles at these places: the blocks of each stream, and its bytes.
+pub(super) fn read_streams<'a>(
+    bytes: &'a [u8],
+    tiles: &[TilePlace],
+) -> Result<Vec<(TilePlace, &'a [u8])>, CodecError> {
     let damaged = |problem: &str| CodecError::Payload { plane: "tiles", problem: problem.into() };
     let early = || damaged("ends too early");
-    let (map, mut rest) = bytes.split_at_checked(num_tiles.div_ceil(8)).ok_or_else(early)?;
-    let is_sent = |tile: usize| map[tile / 8] >> (tile % 8) & 1 == 1;
-    if (num_tiles..map.len() * 8).any(is_sent) {
+    let mut num_bits = 0;
+    let mut bit = || {
+        let byte = bytes.get(num_bits / 8).ok_or_else(early)?;
+        num_bits += 1;
+        Ok(byte >> ((num_bits - 1) % 8) & 1 == 1)
+    };
+    let mut places = Vec::new();
+    for tile in tiles {
+        if !bit()? {
+            continue;
+        }
+        if !bit()? {
+            places.push(*tile);
+            continue;
+        }
+        for quarter in 0..4 {
+            if bit()? {
+                places.push(tile.quarter(quarter).ok_or_else(|| damaged("a stream outside of the frame"))?);
+            }
+        }
+    }
+    let (map, mut rest) = bytes.split_at_checked(num_bits.div_ceil(8)).ok_or_else(early)?;
+    if num_bits % 8 > 0 && map.last().is_some_and(|byte| byte >> (num_bits % 8) != 0) {
         return Err(damaged("a stream for a tile outside of the frame"));
     }
-    let mut lengths = Vec::new();
-    for _ in (0..num_tiles).filter(|tile| is_sent(*tile)) {
+    let mut lengths = Vec::with_capacity(places.len());
+    for _ in &places {
         let (mut num_words, mut shift) = (0usize, 0);
         loop {
             let (&byte, after) = rest.split_first().ok_or_else(early)?;
@@ -120,17 +154,11 @@ pub(super) fn read_streams(bytes: &[u8], num_tiles: usize) -> Result<Vec<Option<
         }
         lengths.push(2 * num_words);
     }
-    let mut lengths = lengths.into_iter();
-    let mut streams = Vec::with_capacity(num_tiles);
-    for tile in 0..num_tiles {
-        streams.push(match is_sent(tile).then(|| lengths.next()).flatten() {
-            Some(length) => {
-                let (stream, after) = rest.split_at_checked(length).ok_or_else(early)?;
-                rest = after;
-                Some(stream)
-            }
-            None => None,
-        });
+    let mut streams = Vec::with_capacity(places.len());
+    for (place, length) in places.into_iter().zip(lengths) {
+        let (stream, after) = rest.split_at_checked(length).ok_or_else(early)?;
+        rest = after;
+        streams.push((place, stream));
     }
     if !rest.is_empty() {
         return Err(damaged("bytes are left over"));

@@ -117,8 +117,8 @@ impl Default for BlockLayer {
     }
 }
 
-/// The blocks of a tile in their frame.
-#[derive(Clone, Copy, Debug)]
+/// The blocks of a tile in their frame, or those of a quarter of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct TilePlace {
     /// Column and row of its first block in the frame.
     pub(super) first: [usize; 2],
@@ -136,6 +136,14 @@ impl TilePlace {
         let [across, num_rows] =
             [0, 1].map(|axis| size[axis].div_ceil(BLOCK).saturating_sub(first[axis]).min(TILE));
         Self { first, across, num_rows, size }
+    }
+
+    /// A quarter of a tile: left or right, upper or lower. `None` outside of the frame.
+    pub(super) fn quarter(&self, quarter: usize) -> Option<Self> {
+        let [right, lower] = [quarter % 2, quarter / 2].map(|half| half * TILE / 2);
+        let across = self.across.checked_sub(right).filter(|num| *num > 0)?.min(TILE / 2);
+        let num_rows = self.num_rows.checked_sub(lower).filter(|num| *num > 0)?.min(TILE / 2);
+        Some(Self { first: [self.first[0] + right, self.first[1] + lower], across, num_rows, ..*self })
     }
 
     /// Column and row in the frame of a block of the tile.

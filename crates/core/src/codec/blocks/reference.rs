@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::corrections::{self, TilePicture};
 use super::entropy::Tables;
 use super::entropy::Tally;
-use super::model::{BLOCK, TILE, middle_of, tiles_along};
+use super::model::{BLOCK, blocks_along, middle_of};
 use super::motion::ReferenceMotion;
 use super::steps::StepSizes;
 use super::tables::Counts;
@@ -20,8 +20,10 @@ pub struct Reference {
     pub(super) header: FrameHeader,
     /// The steps of its coding.
     pub(super) steps: Option<StepSizes>,
-    /// Its tiles, row by row.
+    /// The blocks of its streams.
     pub(super) tiles: Vec<Arc<FrameTile>>,
+    /// For each block of the frame, row by row, index of its tile and its index there; `None` where nothing was sent.
+    blocks: Vec<Option<(u32, u32)>>,
     /// What its contexts had, and the frames before.
     pub(super) counts: Counts,
     /// The probabilities that follow, of a frame that is predicted from it.
@@ -40,7 +42,7 @@ pub(in crate::codec) struct CodedTile {
 }
 
 impl CodedTile {
-    /// Number of its blocks; 0 if nothing was sent of it.
+    /// Number of its blocks.
     pub(in crate::codec) fn num_blocks(&self) -> usize {
         self.tile.blocks.len()
     }
@@ -65,7 +67,17 @@ impl Reference {
         counts: Counts,
     ) -> Self {
         let tables = counts.tables();
-        Self { header, steps, tiles, counts, tables, lambda: None, notes: Vec::new() }
+        let [across, down] = num_blocks(&header);
+        let mut blocks = vec![None; across * down];
+        for (index, tile) in tiles.iter().enumerate() {
+            for block in 0..tile.blocks.len() {
+                let [x, y] = tile.place.in_frame(block % tile.place.across, block / tile.place.across);
+                if let Some(place) = blocks.get_mut(y * across + x) {
+                    *place = Some((index as u32, block as u32));
+                }
+            }
+        }
+        Self { header, steps, tiles, blocks, counts, tables, lambda: None, notes: Vec::new() }
     }
 
     /// Corrects the picture of all tiles of a frame, whose bits are counted. `before` is what it was predicted from.
@@ -79,8 +91,7 @@ impl Reference {
         let counts = before.map(|reference| reference.counts.faded()).unwrap_or_default().with(tally);
         let (mut tiles, mut pictures): (Vec<FrameTile>, Vec<TilePicture>) =
             coded.into_iter().map(|CodedTile { tile, picture }| (tile, picture)).unzip();
-        let across = tiles_along(header.camera.intrinsics.width);
-        corrections::correct(&mut tiles, &mut pictures, across, steps.of_picture());
+        corrections::correct(&mut tiles, &mut pictures, num_blocks(&header), steps.of_picture());
         Self::new(header, Some(steps), tiles.into_iter().map(Arc::new).collect(), counts)
     }
 
@@ -99,22 +110,18 @@ impl Reference {
         self.tiles.iter().map(|tile| tile.num_bytes()).sum()
     }
 
-    /// Mean number of cells in the tiles that were sent.
+    /// Mean number of cells in its tiles.
     pub(super) fn cells_per_tile(&self) -> usize {
-        let sent = self.tiles.iter().filter(|tile| !tile.blocks.is_empty());
-        let (num, cells) = sent.fold((0, 0), |(num, cells), tile| (num + 1, cells + tile.num_cells()));
-        cells / num.max(1)
+        self.tiles.iter().map(|tile| tile.num_cells()).sum::<usize>() / self.tiles.len().max(1)
     }
 
     /// Index of the tile with the block at column `x` and row `y` of blocks, and of the block in it. None outside of the
     /// frame, and in a tile that was not sent.
     fn place(&self, x: i32, y: i32) -> Option<(usize, usize)> {
         let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);
-        let across = tiles_along(self.header.camera.intrinsics.width);
-        let index = y / TILE * across + x / TILE;
-        let tile = self.tiles.get(index).filter(|tile| x / TILE < across && x % TILE < tile.across)?;
-        let block = y % TILE * tile.across + x % TILE;
-        (block < tile.blocks.len()).then_some((index, block))
+        let [across, _] = num_blocks(&self.header);
+        let (tile, block) = (*self.blocks.get(y * across + x).filter(|_| x < across)?)?;
+        Some((tile as usize, block as usize))
     }
 
     /// The tile of the block at column `x` and row `y` of blocks, and its index there.
@@ -143,6 +150,12 @@ impl Reference {
         let to = [64 * middle[0] + shift.x, 64 * middle[1] + shift.y];
         Some(to.map(|v| v.div_euclid(64 * BLOCK as i32)))
     }
+}
+
+/// Columns and rows of blocks.
+fn num_blocks(header: &FrameHeader) -> [usize; 2] {
+    let intrinsics = header.camera.intrinsics;
+    [intrinsics.width, intrinsics.height].map(blocks_along)
 }
 
 /// The last frames that a receiver decoded or a sender sent, from which later frames may be predicted.

@@ -273,7 +273,7 @@ pub(super) const FINE: f32 = 32_768.0;
 pub(super) const UNIT: i32 = 1 << 16;
 /// An octave.
 const LOG_ONE: i32 = 1024;
-const LEAST_LOG: i32 = LEAST_OCTAVE * LOG_ONE;
+const LEAST_LOG: i32 = -24_576;
 const LOG_STEP: i32 = 4;
 const LOGS: usize = OCTAVES * (LOG_ONE / LOG_STEP) as usize;
 const MANTISSAS: usize = 1024;
@@ -285,7 +285,8 @@ const REST_BITS: u32 = 17;
 const LEAST_OCTAVE: i32 = -24;
 const OCTAVES: usize = 34;
 const PLACES: usize = 4096;
-const _: () = assert!(OCTAVES * PER_OCTAVE < PLACES && CODES.is_power_of_two());
+const _: () =
+    assert!(LEAST_LOG == LEAST_OCTAVE * LOG_ONE && OCTAVES * PER_OCTAVE < PLACES && CODES.is_power_of_two());
 /// 2^[`LEAST_OCTAVE`], the least half float.
 const LEAST_TAU: f32 = 5.960_464_5e-8;
 

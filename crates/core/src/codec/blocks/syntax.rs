@@ -21,11 +21,11 @@ pub(super) struct Contexts {
     pub(super) is_same: [[Context; 2]; 3],
     pub(super) occupancy: [[Context; 256]; 3],
     pub(super) has_correction: [Context; 9],
-    is_zero: [[[Context; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
-    class: [[[[Context; 16]; COARSE]; COARSE]; COMPONENTS],
-    rest: [[Context; 32]; CLASSES],
-    size: [[[[Context; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
-    escape: NumberContexts,
+    pub(super) is_zero: [[[Context; CLASSES + 1]; CLASSES + 1]; COMPONENTS],
+    pub(super) class: [[[[Context; 16]; COARSE]; COARSE]; COMPONENTS],
+    pub(super) rest: [[Context; 32]; CLASSES],
+    pub(super) size: [[[[Context; MAX_UNARY]; 4]; POSITIONS]; COMPONENTS],
+    pub(super) escape: NumberContexts,
 }
 
 impl Contexts {

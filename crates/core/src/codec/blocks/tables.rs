@@ -121,19 +121,19 @@ impl Counts {
     pub(super) fn with(mut self, tally: &Tally) -> Self {
         let counts = self.of_places.as_flattened_mut().iter_mut();
         for (count, more) in counts.zip(tally.of_places.as_flattened()) {
-            *count = count.saturating_add(more.saturating_mul(UNIT));
+            *count = count.saturating_add(more.saturating_mul(PER_BIT));
         }
         self
     }
 
-    /// The probabilities that they make of the prior, which counts as [`PRIOR_WEIGHT`] bits.
+    /// The probabilities that they make of the prior, which counts as six bits.
     pub(super) fn tables(&self) -> Tables {
         let one = |(prior, [zeros, ones]): (&u16, &[u32; 2])| {
             // So the numerator has 32 bits.
             let shift = (32 - (zeros | ones).leading_zeros()).saturating_sub(16);
             let (zeros, ones) = (zeros >> shift, ones >> shift);
-            let weight = PRIOR_WEIGHT * UNIT;
-            let one = ((ones << PROBABILITY_BITS) + weight * u32::from(*prior)) / (zeros + ones + weight);
+            let more = PRIOR_WEIGHT * u32::from(*prior);
+            let one = ((ones << PROBABILITY_BITS) + more) / (zeros + ones + PRIOR_WEIGHT);
             one.clamp(LEAST, ONE - LEAST) as u16
         };
         Tables { ones: Tables::prior().ones.iter().zip(&self.of_places).map(one).collect() }
@@ -153,10 +153,10 @@ const LEVELS: [u16; 1 << LEVEL_BITS] = [
 const LEVEL_BITS: u32 = 5;
 /// The first letter of [`PRIOR`].
 const FIRST_LETTER: u8 = b'0';
-/// A bit of a frame counts as so much.
-const UNIT: u32 = 16;
-/// So many bits of a frame count as much as the prior.
-const PRIOR_WEIGHT: u32 = 6;
+/// What a bit of a frame counts.
+const PER_BIT: u32 = 16;
+/// What the prior counts: six bits of a frame.
+const PRIOR_WEIGHT: u32 = 96;
 /// About the bits that state a change.
 const BITS_OF_CHANGE: f32 = 10.0;
 /// Least probability of either bit, in units of 2⁻¹⁵. The likely one then takes 0.001 bits.

@@ -8,11 +8,10 @@ use super::scales::{UNIT, behind};
 /// Front and back of a layer.
 pub(super) type Planes = (DepthPlane, DepthPlane);
 
-/// Blocks side by side. One that is empty is a tile of which nothing was sent.
+/// Blocks side by side.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::codec) struct FrameTile {
-    /// Number of blocks in a row.
-    pub(super) across: usize,
+    pub(super) place: TilePlace,
     /// All blocks, row by row.
     pub(super) blocks: Vec<Block>,
     /// Depth planes of the blocks' layers.
@@ -65,7 +64,7 @@ impl FrameTile {
     pub(super) fn new(place: TilePlace, num_cells: usize) -> Self {
         let num_blocks = place.across * place.num_rows;
         Self {
-            across: place.across,
+            place,
             blocks: Vec::with_capacity(num_blocks),
             planes: Vec::with_capacity(num_cells / BLOCK_LISTS),
             layers: Vec::with_capacity(num_cells / BLOCK_LISTS),
@@ -396,7 +395,7 @@ const MAX_BACK: i32 = 65535;
 impl FrameTile {
     /// An empty tile that is counted as so many bytes, or a few less.
     pub(super) fn counted_as(num_bytes: usize) -> Self {
-        Self { across: 1, num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
+        Self { num_cells: num_bytes / BYTES_OF_CELL, ..Self::default() }
     }
 }
 

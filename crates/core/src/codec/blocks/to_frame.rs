@@ -1,14 +1,12 @@
 //! Turns decoded blocks into a layered frame.
 
-use std::sync::Arc;
-
 use rayon::prelude::*;
 
 use super::super::bands::split_off;
 use super::model::{BLOCK, BLOCK_LISTS, TILE, lists_of, tiles_along};
 use super::reference::Reference;
 use super::scales::{roots, scales};
-use super::tile::{CellPlanes, FrameTile, NO_CELLS};
+use super::tile::{CellPlanes, NO_CELLS};
 use crate::camera::Intrinsics;
 use crate::layer::{LayeredFrame, pack_halves};
 
@@ -20,19 +18,22 @@ impl Reference {
 
     /// The same, in the memory of `spare`.
     pub(in crate::codec) fn to_frame_in(&self, spare: Option<LayeredFrame>) -> LayeredFrame {
-        let Intrinsics { width, .. } = self.header.camera.intrinsics;
-        let (columns, across) = (width as usize, tiles_along(width).max(1));
-        let total: usize = self.tiles.iter().map(|tile| tile.num_cells()).sum();
+        let Intrinsics { width, height, .. } = self.header.camera.intrinsics;
+        let columns = width as usize;
+        let mut num_cells = vec![0; tiles_along(height)];
+        for tile in &self.tiles {
+            num_cells[tile.place.first[1] / TILE] += tile.num_cells();
+        }
+        let total: usize = num_cells.iter().sum();
         let mut frame = LayeredFrame::in_memory_of(spare, self.header, total);
         let mut ends = &mut frame.offsets[1..];
         let mut planes = [&mut frame.depth[..], &mut frame.c_rg[..], &mut frame.c_b_tau[..]];
-        let mut work = Vec::with_capacity(self.tiles.len() / across);
+        let mut work = Vec::with_capacity(num_cells.len());
         let mut offset = 0;
-        for tiles in self.tiles.chunks(across) {
+        for (row, count) in num_cells.into_iter().enumerate() {
             let lists = (TILE * BLOCK * columns).min(ends.len());
-            let count = tiles.iter().map(|tile| tile.num_cells()).sum();
             work.push((
-                tiles,
+                row * TILE,
                 offset as u32,
                 split_off(&mut ends, lists),
                 planes.each_mut().map(|plane| split_off(plane, count)),
@@ -40,17 +41,17 @@ impl Reference {
             offset += count;
         }
         work.into_par_iter()
-            .for_each(|(tiles, offset, ends, planes)| write_words(tiles, columns, offset, ends, planes));
+            .for_each(|(row, offset, ends, planes)| write_words(self, row, offset, ends, planes));
         frame
     }
 }
 
 wide! {
-    /// Writes the segments of a row of tiles, list by list, in the packed form of [`LayeredFrame`]. Also writes the end
-    /// of each list, counted from `offset`.
+    /// Writes the segments of the rows of blocks from `first_row` on, list by list, in the packed form of
+    /// [`LayeredFrame`]. Also writes the end of each list, counted from `offset`.
     fn write_words(
-        tiles: &[Arc<FrameTile>],
-        columns: usize,
+        reference: &Reference,
+        first_row: usize,
         offset: u32,
         ends: &mut [u32],
         planes: [&mut [u32]; 3],
@@ -59,19 +60,20 @@ wide! {
 
 #[inline(always)]
 fn write_words_any(
-    tiles: &[Arc<FrameTile>],
-    columns: usize,
+    reference: &Reference,
+    first_row: usize,
     offset: u32,
     ends: &mut [u32],
     [depth, c_rg, c_b_tau]: [&mut [u32]; 3],
 ) {
+    let columns = reference.header.camera.intrinsics.width as usize;
     let mut to = 0;
     let mut spread = NO_CELLS;
     for (y, ends) in ends.chunks_mut(columns * BLOCK).enumerate() {
         // Column, tile and index of each block of the row that was sent.
-        let blocks = tiles.iter().enumerate().flat_map(|(n, tile)| {
-            let row = y * tile.across..((y + 1) * tile.across).min(tile.blocks.len());
-            row.enumerate().map(move |(x, block)| (n * TILE + x, tile, block))
+        let blocks = (0..columns.div_ceil(BLOCK)).filter_map(|x| {
+            let (tile, block) = reference.block(x as i32, (first_row + y) as i32)?;
+            Some((x, tile, block))
         });
         // First the length of each list, then its end.
         ends.fill(0);

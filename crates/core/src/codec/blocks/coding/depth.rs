@@ -104,7 +104,7 @@ impl StepSizes {
     fn plane(&self, code: PlaneCode) -> DepthPlane {
         let [depth, slope] = self.of_planes();
         // Beyond this, a product would be beyond the bounds of a plane.
-        let times = |code: i32, step: i32| code.clamp(-MOST / step, MOST / step) * step;
+        let times = |code: i32, step: i32| code.clamp(-MOST_NUMBER / step, MOST_NUMBER / step) * step;
         DepthPlane::bounded(times(code.z, depth), times(code.dx, slope), times(code.dy, slope))
     }
 
@@ -149,4 +149,4 @@ impl StepSizes {
 }
 
 /// Greater than every number of a plane.
-const MOST: i32 = 1 << 24;
+const MOST_NUMBER: i32 = 1 << 24;
