@@ -459,7 +459,7 @@ impl BlockPlanner<'_> {
 const MOST_LISTS_OF_BAND: usize = MAX_CHUNK_SEGMENTS / 8;
 const NO_GOAL: u32 = u32::MAX;
 /// A stream of more decisions is divided. A GPU takes about .1 µs for each.
-const MOST_BITS: f32 = 8000.0;
+const MOST_BITS: f32 = 24_000.0;
 /// A copied block may be off by this part of the step of corrections on average.
 const SAME: f32 = 0.75;
 /// Allowed ratio of the former cost of a layer to the present one.
