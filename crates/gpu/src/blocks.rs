@@ -1,6 +1,6 @@
 //! Decodes frames in blocks on the GPU, to the same numbers as the twin (`core/src/codec/blocks/`).
 //!
-//! `tiles` reads the bits of all tiles, a workgroup each, and writes their layers and cells. Two passes of
+//! `tiles` reads the bits of all streams, a workgroup each, and writes their layers and cells. Two passes of
 //! `smooth_borders` smooth what the picture should be, and `factors` gives cells the colours for it. `make_tables` counts
 //! the frame's bits, for the next one.
 
@@ -10,7 +10,6 @@ use isinglass_core::codec::blocks::device::{
     scale_words,
 };
 use isinglass_core::layer::FrameHeader;
-
 use wgpu::BindingType;
 
 use crate::device::{Gpu, READ, UNIFORM, WRITE, bind, buffer, check_binding, compute_pipeline, layout};
@@ -30,7 +29,7 @@ pub struct DeviceFrame {
     /// How often each context had a zero and a one, and the probabilities that follow.
     counts: wgpu::Buffer,
     probabilities: wgpu::Buffer,
-    /// What became of the tiles; see `tile.wgsl`.
+    /// What became of the streams; see `coding.wgsl`.
     tally: wgpu::Buffer,
 }
 
@@ -52,7 +51,7 @@ pub struct DeviceFrameWords {
     pub counts: Vec<u32>,
     /// See [`Reference::probability_words`].
     pub probabilities: Vec<u32>,
-    /// Number of tiles that are damaged, or that found no room.
+    /// Number of streams that are damaged, or that found no room.
     pub num_damaged: u32,
 }
 
@@ -108,7 +107,7 @@ pub(crate) struct ListPlanes<'a> {
 }
 
 impl BlockDecoder {
-    /// A decoder for a device. It compiles kernels, which takes up to seconds.
+    /// A decoder for a device. It compiles kernels, for which some drivers take a minute.
     pub fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Self {
         use BlockKernel::{Borders, Factors, Lists, Tables, Tiles};
         let borders = |is_below| Pass::new(device, Borders { is_below }, "smooth_borders", &[UNIFORM, WRITE]);

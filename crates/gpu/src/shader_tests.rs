@@ -329,7 +329,8 @@ const SHADER_ONLY: [&str; 24] = [
     "FAR",
 ];
 
-/// The same of the kernels that decode blocks. Tables and contexts have tests of their own.
+/// The same of the kernels that decode blocks. A wrong place of a table decodes to other numbers, which
+/// `tests/tests/gpu_blocks.rs` notices.
 const BLOCK_SHADER_ONLY: [&str; 30] = [
     "WORDS_OF_BLOCK",
     "WORDS_OF_PICTURE",

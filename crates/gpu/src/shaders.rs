@@ -143,17 +143,24 @@ impl BlockKernel {
                 BLOCK_SYNTAX,
                 BLOCK_MOTION,
                 BLOCK_FETCH,
-                BLOCK_PLANES,
-                BLOCK_LAYERS,
+                BLOCK_DEPTH,
+                BLOCK_LAYER,
                 BLOCK_CORRECTIONS,
-                BLOCK_TILE,
+                BLOCK_CODING,
             ],
             Self::Borders { .. } => &[BLOCK_FRAME, BLOCK_ROOTS, BLOCK_SMOOTH],
             Self::Factors => &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_FACTORS],
             Self::Tables => &[BLOCK_TABLES],
-            Self::Lists => {
-                &[BLOCK_FRAME, BLOCK_NUMBERS, BLOCK_ROOTS, BLOCK_SCALES, TYPES, LAYER, BLOCK_LISTS, OFFSETS]
-            }
+            Self::Lists => &[
+                BLOCK_FRAME,
+                BLOCK_NUMBERS,
+                BLOCK_ROOTS,
+                BLOCK_SCALES,
+                TYPES,
+                LAYER,
+                BLOCK_TO_FRAME,
+                OFFSETS,
+            ],
         }
     }
 }
@@ -431,11 +438,11 @@ const BLOCK_ENTROPY: &str = include_str!("../../../shaders/blocks/entropy.wgsl")
 const BLOCK_SYNTAX: &str = include_str!("../../../shaders/blocks/syntax.wgsl");
 const BLOCK_MOTION: &str = include_str!("../../../shaders/blocks/motion.wgsl");
 const BLOCK_FETCH: &str = include_str!("../../../shaders/blocks/fetch.wgsl");
-const BLOCK_PLANES: &str = include_str!("../../../shaders/blocks/planes.wgsl");
-const BLOCK_LAYERS: &str = include_str!("../../../shaders/blocks/layers.wgsl");
+const BLOCK_DEPTH: &str = include_str!("../../../shaders/blocks/depth.wgsl");
+const BLOCK_LAYER: &str = include_str!("../../../shaders/blocks/layer.wgsl");
 const BLOCK_CORRECTIONS: &str = include_str!("../../../shaders/blocks/corrections.wgsl");
-const BLOCK_TILE: &str = include_str!("../../../shaders/blocks/tile.wgsl");
+const BLOCK_CODING: &str = include_str!("../../../shaders/blocks/coding.wgsl");
 const BLOCK_SMOOTH: &str = include_str!("../../../shaders/blocks/smooth.wgsl");
 const BLOCK_FACTORS: &str = include_str!("../../../shaders/blocks/factors.wgsl");
 const BLOCK_TABLES: &str = include_str!("../../../shaders/blocks/tables.wgsl");
-const BLOCK_LISTS: &str = include_str!("../../../shaders/blocks/lists.wgsl");
+const BLOCK_TO_FRAME: &str = include_str!("../../../shaders/blocks/to_frame.wgsl");

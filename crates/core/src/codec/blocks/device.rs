@@ -5,9 +5,9 @@ use super::super::error::CodecError;
 use super::super::header::HEADER_BYTES;
 use super::entropy::Tables;
 use super::head::{Head, read_streams};
-use super::model::{blocks_along, lists_of};
+use super::model::lists_of;
 use super::motion::ReferenceMotion;
-use super::reference::Reference;
+use super::reference::{Reference, num_blocks};
 use super::scales::scales;
 use super::syntax::Contexts;
 use super::tile::{NO_CELLS, Planes};
@@ -76,8 +76,7 @@ impl FrameWords {
 impl Reference {
     /// The frame in words.
     pub fn words(&self) -> FrameWords {
-        let intrinsics = self.header.camera.intrinsics;
-        let [across, down] = [intrinsics.width, intrinsics.height].map(blocks_along);
+        let [across, down] = num_blocks(&self.header);
         let mut words = FrameWords::default();
         for block in 0..across * down {
             let [x, y] = [block % across, block / across];
@@ -271,9 +270,9 @@ fn pairs(values: &[u16]) -> Vec<u32> {
 
 /// In the first word of a block: whether a list has a cell.
 pub const HAS_CELLS: u32 = 1 << 31;
-/// Words of a layer, and of a cell.
+/// Words of a layer.
 pub const WORDS_OF_LAYER: usize = 10;
-/// See [`WORDS_OF_LAYER`].
+/// Words of a cell.
 pub const WORDS_OF_CELL: usize = 3;
-/// Words in front of the streams for each.
+/// Words that say where a stream is, and whose blocks it has.
 pub const WORDS_OF_STREAM: usize = 5;

@@ -150,18 +150,19 @@ impl<'a> BlocksPlan<'a> {
         wanted: Wanted<'_>,
     ) -> Result<EncodedBand, CodecError> {
         let places = self.head.tiles(&self.header, band);
-        let mut by_work: Vec<_> = places.iter().map(|place| self.parts(frame, place)).enumerate().collect();
-        let num_parts: Vec<usize> = by_work.iter().map(|(_, parts)| parts.len()).collect();
-        let mut by_work: Vec<_> = by_work
-            .drain(..)
-            .flat_map(|(tile, parts)| parts.into_iter().enumerate().map(move |(n, part)| ((tile, n), part)))
-            .filter_map(|(index, part)| part.map(|(place, num_segments)| (index, place, num_segments)))
-            .collect();
-        by_work.sort_by_key(|(.., num_segments)| std::cmp::Reverse(*num_segments));
+        let parts: Vec<_> = places.iter().map(|place| self.parts(frame, place)).collect();
+        // The bytes of each part of each tile.
+        let mut streams: Vec<Vec<Vec<u8>>> =
+            parts.iter().map(|parts| vec![Vec::new(); parts.len()]).collect();
+        let indexed = |(tile, parts): (usize, Vec<_>)| {
+            parts.into_iter().enumerate().filter_map(move |(n, part)| Some(((tile, n), part?)))
+        };
+        let mut by_work: Vec<_> = parts.into_iter().enumerate().flat_map(indexed).collect();
+        by_work.sort_by_key(|(_, (_, num_segments))| std::cmp::Reverse(*num_segments));
         let room = Room::new(MAX_CHUNK_SEGMENTS);
         // Each thread takes one at a time, so no thread has a long one left at the end.
         let by_work = by_work.into_iter().par_bridge();
-        let made = by_work.map_init(Default::default, |scratch, (index, place, num_segments)| {
+        let made = by_work.map_init(Default::default, |scratch, (index, (place, num_segments))| {
             let made = self.encode_tile(frame, place, num_segments, wanted, scratch)?;
             room.take(&made.coded.tile, made.coded.picture.num_blocks())?;
             Ok((index, made))
@@ -181,13 +182,11 @@ impl<'a> BlocksPlan<'a> {
                 &changed
             }
         };
-        let streams: Vec<_> =
-            made.par_iter().map(|(index, tile)| (*index, encoded(&tile.recorder.bits, tables))).collect();
-        let mut of_tiles: Vec<Vec<Vec<u8>>> = num_parts.into_iter().map(|num| vec![vec![]; num]).collect();
-        for ((tile, part), stream) in streams {
-            of_tiles[tile][part] = stream;
+        let bytes: Vec<_> = made.par_iter().map(|(_, tile)| encoded(&tile.recorder.bits, tables)).collect();
+        for (((tile, part), _), bytes) in made.iter().zip(bytes) {
+            streams[*tile][*part] = bytes;
         }
-        write_streams(&of_tiles, &mut payload);
+        write_streams(&streams, &mut payload);
         let (tiles, notes) = made.into_iter().map(|(_, tile)| (tile.coded, tile.notes)).unzip();
         Ok(EncodedBand { payload, tiles, notes, tally })
     }
@@ -243,7 +242,7 @@ impl<'a> BlocksPlan<'a> {
     }
 }
 
-/// About the decisions that a segment takes at a quality, by measurement.
+/// About the decisions that a segment takes at a quality: a guess from the longest tiles of bonsai.
 fn bits_per_segment(quality: u8, is_predicted: bool) -> f32 {
     let alone = 0.5 + 0.02 * f32::from(quality);
     if is_predicted { 0.6 * alone } else { alone }
@@ -458,7 +457,7 @@ impl BlockPlanner<'_> {
 /// A band has at most so many lists, so that its chunk may hold all of their segments.
 const MOST_LISTS_OF_BAND: usize = MAX_CHUNK_SEGMENTS / 8;
 const NO_GOAL: u32 = u32::MAX;
-/// A stream of more decisions is divided. A GPU takes about .1 µs for each.
+/// A tile of more decisions is divided. A GPU may take .1 µs for each; this is not measured.
 const MOST_BITS: f32 = 24_000.0;
 /// A copied block may be off by this part of the step of corrections on average.
 const SAME: f32 = 0.75;

@@ -1,4 +1,4 @@
-//! Binary entropy coding with fixed probabilities, by rANS (Duda 2014). Each stream is a tile, and no bit waits for the
+//! Binary entropy coding with fixed probabilities, by rANS (Duda 2014). A tile is a stream, and no bit waits for the
 //! estimate that another one leaves.
 //!
 //! The syntax is written once, over [`Coder`]. A [`BitRecorder`] notes the values that it is given; a [`Decoder`] ignores

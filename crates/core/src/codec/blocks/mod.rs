@@ -2,13 +2,14 @@
 //! transform can code.
 //!
 //! The server finds a block's layers (`layer_search`, `encode`). Their depth planes are coded in steps, or taken from
-//! a neighbour, or moved from the reference (`coding`, `motion`, `reference`, `fetch`). Opacity and colour of a layer are 8×8
-//! planes (`scales`). They are predicted and transformed (`residual`) and coded in bits (`syntax`, `entropy`), whose
-//! probabilities are known from the frames before (`tables`). The last plane of a block corrects the picture at the
-//! frame's own pose (`corrections`). Borders between blocks are smoothed (`smooth`). The encoder works with what a
-//! decoder will have (closed loop).
+//! a neighbour, or moved from the reference (`coding`, `motion`, `reference`, `fetch`). Opacity and colour of a layer
+//! are 8×8 planes (`scales`). They are predicted and transformed (`residual`), and coded in bits (`syntax`, `entropy`).
+//! The probabilities of bits are known from the frames before (`tables`). The last plane of a block corrects the
+//! picture at the frame's own pose (`corrections`). Borders between blocks are smoothed (`smooth`). The encoder works
+//! with what a decoder will have (closed loop).
 //!
-//! A tile is 8×8 blocks, and has a stream of its own. So tiles are coded in parallel, in both directions.
+//! A tile is 8×8 blocks. It has a stream of its own, or one for each quarter. So tiles are coded in parallel, in both
+//! directions.
 //!
 //! One rule makes every machine decode alike, also a GPU. A decoder computes with integers of 32 bits. Its tables, and
 //! the numbers of a camera, are made of sums, products, quotients and square roots in double precision, in the order
@@ -22,8 +23,8 @@
 //! | `transform` | the 8×8 cosine transform |
 //! | `scales` | codes of opacity and colour |
 //! | `smooth` | borders between blocks |
-//! | `prior` | probabilities that a frame alone begins with |
-//! | `entropy`, `tables` | bits with fixed probabilities, and these |
+//! | `prior` | probabilities of a frame alone |
+//! | `entropy`, `tables` | bits and their probabilities |
 //! | `syntax` | contexts, masks and coefficients |
 //! | `steps` | settings to steps |
 //! | `motion` | where matter lies in the picture of a reference |

@@ -153,7 +153,7 @@ impl Reference {
 }
 
 /// Columns and rows of blocks.
-fn num_blocks(header: &FrameHeader) -> [usize; 2] {
+pub(super) fn num_blocks(header: &FrameHeader) -> [usize; 2] {
     let intrinsics = header.camera.intrinsics;
     [intrinsics.width, intrinsics.height].map(blocks_along)
 }

@@ -313,8 +313,8 @@ impl OpenBlock {
         self.kappa = [UNIT - 1; BLOCK_LISTS];
     }
 
-    /// Appends a cell to each list of the mask, between the planes. `opacities` are in units of [`UNIT`]. A cell begins no earlier than the previous cell ends,
-    /// and is at least [`LEAST_LENGTH`] long. A list without room gets none.
+    /// Appends a cell to each list of the mask, between the planes. `opacities` are in units of [`UNIT`]. A cell begins
+    /// no earlier than the previous cell ends, and is at least [`LEAST_LENGTH`] long. A list without room gets none.
     pub(super) fn push(
         &mut self,
         planes: &Planes,

@@ -10,7 +10,7 @@
 @group(0) @binding(3) var<storage, read> payload: array<u32>;
 @group(0) @binding(4) var<storage, read> before: array<u32>;
 @group(0) @binding(5) var<storage, read_write> after: array<u32>;
-// How often each context had a zero and a one; then the number of layers, that of cells, and of damaged tiles.
+// How often each context had a zero and a one; then the number of layers, that of cells, and of damaged streams.
 @group(0) @binding(6) var<storage, read_write> tally: array<atomic<u32>>;
 // For each block whether it is corrected. Then for each of its lists what it composites to and what it should.
 @group(0) @binding(7) var<storage, read_write> pictures: array<u32>;
@@ -36,6 +36,7 @@ var<workgroup> layer_means: vec4i;
 var<workgroup> expected: OptionalMask;
 var<workgroup> mean_sum: atomic<i32>;
 var<workgroup> least_front: atomic<u32>;
+// 0 between two layers, and at first.
 var<workgroup> layer_back: atomic<u32>;
 // Whether the present block has cells.
 var<workgroup> block_cells: atomic<u32>;
