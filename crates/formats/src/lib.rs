@@ -13,6 +13,7 @@
 //! nothing. Only `web` knows a network: it gets the files of an OME-Zarr image.
 
 mod alike;
+mod allocator;
 mod axes;
 mod builtin;
 mod cf;
@@ -91,6 +92,7 @@ mod xml;
 mod zarr;
 mod zip;
 
+pub use allocator::{return_large_blocks, share_arena};
 pub use channel_looks::default_channels;
 pub use content::{Content, content_of};
 pub use convert::{Conversion, Converted};

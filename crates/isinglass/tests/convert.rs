@@ -109,9 +109,9 @@ fn an_interrupt_ends_in_one_line_and_keeps_what_is_done() {
     assert!(bench.ok(line).starts_with("a.ome.zarr: 4 levels down to 25×24×113, means"));
 }
 
-/// Memory of the program itself in a build for tests: its code, and what its allocator keeps for each thread.
+/// Memory of the program itself in a build for tests: its code and its threads.
 #[cfg(target_os = "linux")]
-const OF_PROGRAM: u64 = 76 << 20;
+const OF_PROGRAM: u64 = 64 << 20;
 
 /// The most memory that the process has had, as Linux tells while it runs.
 fn most_memory(child: &mut Child) -> u64 {

@@ -149,7 +149,7 @@ impl Pager {
 
     fn start(paging: Paging, base: &Volume) -> Result<Self, VolumeError> {
         let Paging { source, ranges, max_bytes, own } = paging;
-        return_large_blocks();
+        isinglass_formats::return_large_blocks();
         let pyramid = Arc::new(source.pyramid().clone());
         let pages = pyramid.base_pages(base)?;
         let num_channels = base.channels().count();
@@ -469,22 +469,6 @@ impl PagerThreads {
     }
 }
 
-/// From now on, the memory of a page goes back to the system when the page goes. Otherwise the allocator of glibc keeps
-/// a seventh more than all pages take, in holes.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-fn return_large_blocks() {
-    #[expect(unsafe_code, reason = "the setting of the C library has no safe binding")]
-    // SAFETY: the call may come from any thread at any time.
-    let is_set = unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BLOCK) };
-    if is_set == 0 {
-        tracing::debug!("the allocator keeps large blocks");
-    }
-}
-
-/// Other allocators have no such setting.
-#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-fn return_large_blocks() {}
-
 fn same(a: Option<&Arc<SeenPages>>, b: Option<&Arc<SeenPages>>) -> bool {
     a.map(Arc::as_ptr) == b.map(Arc::as_ptr)
 }
@@ -493,9 +477,6 @@ fn same(a: Option<&Arc<SeenPages>>, b: Option<&Arc<SeenPages>>) -> bool {
 const MAX_SEEN: usize = 4;
 /// Most threads that read: disks and servers answer several at once.
 const MAX_READERS: usize = 8;
-/// Blocks of this size are returned at once, bytes: less than a page takes.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const LARGE_BLOCK: i32 = 256 << 10;
 /// Time between looks at what is there.
 const POLL: std::time::Duration = std::time::Duration::from_millis(5);
 

@@ -33,6 +33,7 @@ pub(crate) struct ConvertArgs {
 }
 
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
+    isinglass_formats::share_arena();
     args.volume.refuse_what_leaves_out_voxels()?;
     let source = args.volume.volume_source()?;
     not_an_input(&args.output, [Some(source.source.as_str())])?;
